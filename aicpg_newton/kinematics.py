@@ -1,0 +1,128 @@
+"""Forward kinematics of the humanoid in torch, without an engine: for resets, pictures and motion references."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from functools import cache
+
+import torch
+
+from aicpg_newton import rotations
+from aicpg_newton.errors import UserError
+from aicpg_newton.humanoid import FOOT_NAMES, JOINT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS
+
+HEAD_CENTRE = (0.0, 0.0, 0.175)
+"""Centre of the head's sphere in the head link's frame [m]."""
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """The kinematic tree in the order of :data:`LINK_NAMES` (parents before children)."""
+
+    parents: tuple[int, ...]
+    offsets: torch.Tensor
+    """Joint origin of each link in its parent's frame [m], shape [13, 3]; the root's is zero."""
+    joints: tuple[tuple[int, ...], ...]
+    """Joint indices of each link, outermost hinge first."""
+    axes: torch.Tensor
+    """Hinge axes in the link frame, shape [28, 3]."""
+    ranges: torch.Tensor
+    """Lower and upper joint limits [rad], shape [28, 2]."""
+    sole_corners: torch.Tensor
+    """The four lower corners of each foot's box in the foot frame [m], shape [2, 4, 3]."""
+
+
+@cache
+def skeleton() -> Skeleton:
+    """Read the tree from ``assets/humanoid.xml``.
+
+    Raises:
+        UserError: The file does not hold the 13 links and 28 joints that :mod:`aicpg_newton.humanoid` names.
+    """
+    root = ElementTree.parse(MJCF_PATH).getroot().find("worldbody/body")
+    assert root is not None
+    bodies: dict[str, tuple[ElementTree.Element, int]] = {}
+
+    def visit(body: ElementTree.Element, parent: int) -> None:
+        bodies[body.attrib["name"]] = (body, parent)
+        index = len(bodies) - 1
+        for child in body.findall("body"):
+            visit(child, index)
+
+    visit(root, -1)
+    hinges = {joint.attrib["name"]: joint for body, _ in bodies.values() for joint in body.findall("joint")}
+    if tuple(bodies) != LINK_NAMES or set(hinges) != set(JOINT_NAMES):
+        raise UserError(
+            f"{MJCF_PATH.name} holds {len(bodies)} links and {len(hinges)} joints that do not match the"
+            f" {len(LINK_NAMES)} links and {NUM_JOINTS} joints named in humanoid.py; make the two agree"
+        )
+
+    def numbers(text: str) -> list[float]:
+        return [float(word) for word in text.split()]
+
+    offsets = [numbers(body.attrib["pos"]) if parent >= 0 else [0.0, 0.0, 0.0] for body, parent in bodies.values()]
+    corners = []
+    for foot in FOOT_NAMES:
+        box = bodies[foot][0].find("geom")
+        assert box is not None and box.attrib["type"] == "box"
+        (x, y, z), (sx, sy, sz) = numbers(box.attrib["pos"]), numbers(box.attrib["size"])
+        corners.append([[x + i * sx, y + j * sy, z - sz] for i in (-1, 1) for j in (-1, 1)])
+    return Skeleton(
+        parents=tuple(parent for _, parent in bodies.values()),
+        offsets=torch.tensor(offsets),
+        joints=tuple(
+            tuple(JOINT_NAMES.index(joint.attrib["name"]) for joint in body.findall("joint"))
+            for body, _ in bodies.values()
+        ),
+        axes=torch.tensor([numbers(hinges[name].attrib["axis"]) for name in JOINT_NAMES]),
+        ranges=torch.deg2rad(torch.tensor([numbers(hinges[name].attrib["range"]) for name in JOINT_NAMES])),
+        sole_corners=torch.tensor(corners),
+    )
+
+
+def forward_kinematics(
+    root_position: torch.Tensor,
+    root_rotation: torch.Tensor,
+    joint_position: torch.Tensor,
+    links: tuple[str, ...] = LINK_NAMES,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """World poses of links.
+
+    Args:
+        root_position: Pelvis frame's origin in the world [m], shape [..., 3].
+        root_rotation: Pelvis rotation (x, y, z, w), shape [..., 4].
+        joint_position: Joint angles [rad] in the order of :data:`JOINT_NAMES`, shape [..., 28].
+        links: Links wanted; the others are left out of the work where nothing wanted hangs on them.
+
+    Returns:
+        Link origins [m], shape [..., len(links), 3], and link rotations (x, y, z, w), shape [..., len(links), 4].
+    """
+    tree = skeleton()
+    offsets, axes = tree.offsets.to(joint_position), tree.axes.to(joint_position)
+    hinges = rotations.about_axis(axes.expand(*joint_position.shape, 3), joint_position)
+    poses = {0: (root_position, root_rotation)}
+
+    def pose(link: int) -> tuple[torch.Tensor, torch.Tensor]:
+        if link not in poses:
+            position, rotation = pose(tree.parents[link])
+            position = position + rotations.rotate(rotation, offsets[link].expand_as(position))
+            for joint in tree.joints[link]:
+                rotation = rotations.multiply(rotation, hinges[..., joint, :])
+            poses[link] = (position, rotation)
+        return poses[link]
+
+    wanted = [pose(LINK_NAMES.index(name)) for name in links]
+    return torch.stack([each[0] for each in wanted], dim=-2), torch.stack([each[1] for each in wanted], dim=-2)
+
+
+def sole_heights(
+    root_position: torch.Tensor, root_rotation: torch.Tensor, joint_position: torch.Tensor
+) -> torch.Tensor:
+    """World height [m] of the lowest sole corner of each foot, shape [..., 2] (right, left); arguments as above."""
+    positions, orientations = forward_kinematics(root_position, root_rotation, joint_position, FOOT_NAMES)
+    corners = skeleton().sole_corners.to(joint_position)
+    corners = corners.expand(*joint_position.shape[:-1], *corners.shape)
+    rotation = orientations.unsqueeze(-2).expand(*corners.shape[:-1], 4)
+    world = positions.unsqueeze(-2) + rotations.rotate(rotation, corners)
+    return world[..., 2].amin(dim=-1)

@@ -1,0 +1,66 @@
+"""Quaternions as Newton stores them, (x, y, z, w), batched in torch."""
+
+from __future__ import annotations
+
+import torch
+
+
+def multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Quaternion product a * b (apply b first), shapes [..., 4]."""
+    av, aw, bv, bw = a[..., :3], a[..., 3:], b[..., :3], b[..., 3:]
+    vector = aw * bv + bw * av + torch.linalg.cross(av, bv)
+    scalar = aw * bw - (av * bv).sum(-1, keepdim=True)
+    return torch.cat((vector, scalar), dim=-1)
+
+
+def conjugate(q: torch.Tensor) -> torch.Tensor:
+    """Inverse rotation of a unit quaternion, shape [..., 4]."""
+    return torch.cat((-q[..., :3], q[..., 3:]), dim=-1)
+
+
+def rotate(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    """Vector v turned by q (from q's local frame to the frame q is given in), shapes [..., 4] and [..., 3]."""
+    u, w = q[..., :3], q[..., 3:]
+    t = 2.0 * torch.linalg.cross(u, v)
+    return v + w * t + torch.linalg.cross(u, t)
+
+
+def about_axis(axis: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
+    """Rotation by angle [rad] about a unit axis, shapes [..., 3] and [...]."""
+    half = 0.5 * angle.unsqueeze(-1)
+    return torch.cat((axis * torch.sin(half), torch.cos(half)), dim=-1)
+
+
+def from_euler_xyz(angles: torch.Tensor) -> torch.Tensor:
+    """Rotation of three intrinsic hinges R = Rx Ry Rz, angles [rad] of shape [..., 3]."""
+    axes = torch.eye(3, dtype=angles.dtype, device=angles.device)
+    x, y, z = (about_axis(axes[i].expand_as(angles), angles[..., i]) for i in range(3))
+    return multiply(multiply(x, y), z)
+
+
+def roll_pitch_yaw(q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Angles [rad] with R = Rz(yaw) Ry(pitch) Rx(roll), each of shape [...]."""
+    x, y, z, w = q.unbind(-1)
+    roll = torch.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = torch.asin((2 * (w * y - z * x)).clamp(-1.0, 1.0))
+    yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return roll, pitch, yaw
+
+
+def from_roll_pitch_yaw(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
+    """Rotation Rz(yaw) Ry(pitch) Rx(roll), angles [rad] of shape [...]; the inverse of :func:`roll_pitch_yaw`."""
+    x, y, z = torch.eye(3, dtype=roll.dtype, device=roll.device).unbind(0)
+    shape = (*roll.shape, 3)
+    tilt = multiply(about_axis(y.expand(shape), pitch), about_axis(x.expand(shape), roll))
+    return multiply(about_axis(z.expand(shape), yaw), tilt)
+
+
+def about_z(angle: torch.Tensor) -> torch.Tensor:
+    """Rotation by angle [rad] about the vertical, shape [...] to [..., 4]."""
+    zero = torch.zeros_like(angle)
+    return torch.stack((zero, zero, torch.sin(0.5 * angle), torch.cos(0.5 * angle)), dim=-1)
+
+
+def up_axis(q: torch.Tensor) -> torch.Tensor:
+    """The body's z axis in the world, shape [..., 3]."""
+    return rotate(q, q.new_tensor((0.0, 0.0, 1.0)).expand(*q.shape[:-1], 3))
