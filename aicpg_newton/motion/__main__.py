@@ -1,0 +1,85 @@
+"""Fit the pattern network S from two motion capture clips: ``python -m aicpg_newton.motion --help``."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from aicpg_newton.cpg import fit_pattern_network
+from aicpg_newton.errors import UserError, run_command
+from aicpg_newton.motion.acclaim import read_motion, read_skeleton
+from aicpg_newton.motion.cycles import gait_cycle
+from aicpg_newton.motion.figure import save_figure
+from aicpg_newton.motion.retarget import flat_soles, retarget
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fit the pattern network to a walk and a run of one subject, and draw what it generates."""
+
+    skeleton: Path
+    """Acclaim skeleton of the subject (.asf)."""
+    walk: Path
+    """Motion of a straight walk (.amc)."""
+    run: Path
+    """Motion of a straight run (.amc)."""
+    out: Path
+    """Network file to write; the picture goes beside it with the suffix .png."""
+
+
+def fit(settings: Fit) -> None:
+    """Read the clips, fit, print what was found, write network and picture.
+
+    Raises:
+        UserError: A file is missing or broken, the clips do not fit together, or ``out`` cannot be written.
+    """
+    picture = settings.out.with_suffix(".png")
+    _check_output(settings, picture)
+    skeleton = read_skeleton(settings.skeleton)
+    motions = {"walk": read_motion(settings.walk, skeleton), "run": read_motion(settings.run, skeleton)}
+    soles = flat_soles(skeleton, motions["walk"])
+    cycles = [gait_cycle(retarget(skeleton, motion, soles), name) for name, motion in motions.items()]
+    walk, run = (cycle.gait for cycle in cycles)
+    if walk.frequency >= run.frequency:
+        raise UserError(
+            f"the walk's stride frequency ({walk.frequency:.3f} Hz) is not below the run's ({run.frequency:.3f} Hz);"
+            " swap --walk and --run or give other clips"
+        )
+    for gait in (walk, run):
+        print(f"{gait.name} {gait.source}: {gait.frequency:.3f} Hz, {gait.speed:.2f} m/s on the humanoid", flush=True)
+    network = fit_pattern_network(cycles)
+    for gait in network.gaits:
+        print(f"{gait.name} fit error: {gait.fit_error:.4f} rad RMS, worst joint {gait.worst_fit_error:.4f} rad")
+    partial = settings.out.with_name(settings.out.name + ".partial")
+    network.save(partial)
+    save_figure(picture, network, cycles)
+    os.replace(partial, settings.out)
+    print(f"wrote {settings.out} and {picture}")
+
+
+def _check_output(settings: Fit, picture: Path) -> None:
+    """Refuse an output that cannot be written or would overwrite an input."""
+    out = settings.out
+    if not out.parent.is_dir() or not os.access(out.parent, os.W_OK):
+        raise UserError(f"--out {out}: there is no folder {out.parent} that can be written to; make it first")
+    if out.is_dir() or out.suffix == ".png":
+        raise UserError(
+            f"--out {out} must be a file for the network, as pattern_network.pt; the picture is written beside"
+        )
+    inputs = {path.resolve() for path in (settings.skeleton, settings.walk, settings.run)}
+    if inputs & {out.resolve(), picture.resolve()}:
+        raise UserError(f"--out {out} would overwrite a clip; give another name")
+
+
+def _show_warning(message: Warning | str, *_: object) -> None:
+    print(f"warning: {message}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    warnings.showwarning = _show_warning  # type: ignore[assignment]
+    run_command(lambda: fit(tyro.cli(Fit)))
