@@ -1,0 +1,139 @@
+"""What an engine takes and gives. Joints and links are in the order of :mod:`aicpg_newton.humanoid` on both sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import torch
+
+from aicpg_newton.cpg import CONTROL_DT
+from aicpg_newton.errors import UserError
+
+
+@dataclass(kw_only=True)
+class Physics:
+    """Settings of the rigid-body simulation."""
+
+    substeps: int = 4
+    """Physics steps per control step, an even number: 4 at 60 Hz control are 240 Hz."""
+    iterations: int = 10
+    """Iterations of the constraint solver (Newton's method)."""
+    ls_iterations: int = 20
+    """Line-search iterations in each of them."""
+    friction: float = 1.0
+    """Coulomb friction of the ground."""
+    max_contacts: int = 40
+    """Contact points that fit in one environment's buffer."""
+    max_constraints: int = 200
+    """Constraint rows (joint limits, four per contact) that fit in one environment's buffer."""
+
+    @property
+    def timestep(self) -> float:
+        """Duration of a physics step [s]."""
+        return CONTROL_DT / self.substeps
+
+    def validate(self) -> None:
+        """Refuse settings that no engine can run.
+
+        Raises:
+            UserError: A count is not positive, or the number of substeps is odd.
+        """
+        if self.substeps < 2 or self.substeps % 2:
+            raise UserError(f"physics.substeps is {self.substeps}; give an even number of at least 2")
+        for name in ("iterations", "ls_iterations", "max_contacts", "max_constraints"):
+            if getattr(self, name) < 1:
+                raise UserError(f"physics.{name} is {getattr(self, name)}; give a positive number")
+        if not 0.0 <= self.friction < float("inf"):
+            raise UserError(f"physics.friction is {self.friction}; give a finite non-negative number")
+
+
+@dataclass
+class RobotState:
+    """All humanoids after the last control step. World frame unless said otherwise; feet are ordered right, left."""
+
+    root_position: torch.Tensor
+    """Origin of the pelvis frame [m], shape [num_envs, 3]."""
+    root_rotation: torch.Tensor
+    """Pelvis rotation, unit quaternion (x, y, z, w), shape [num_envs, 4]."""
+    root_linear_velocity: torch.Tensor
+    """Velocity of the pelvis frame's origin [m/s], shape [num_envs, 3]."""
+    root_angular_velocity: torch.Tensor
+    """Angular velocity of the pelvis [rad/s], shape [num_envs, 3]."""
+    joint_position: torch.Tensor
+    """Joint angles [rad], shape [num_envs, 28]."""
+    joint_velocity: torch.Tensor
+    """Joint velocities [rad/s], shape [num_envs, 28]."""
+    joint_torque: torch.Tensor
+    """Motor torque of the last physics step [N m], CPG and reflex together, limited; shape [num_envs, 28]."""
+    head_position: torch.Tensor
+    """Centre of the head [m], shape [num_envs, 3]."""
+    foot_force: torch.Tensor
+    """Contact force of the ground on each foot, mean over the control step [N], shape [num_envs, 2, 3]."""
+    foot_moment: torch.Tensor
+    """Its moment about the ankle joint's origin [N m], shape [num_envs, 2, 3]."""
+
+    def finite(self) -> torch.Tensor:
+        """Whether every number of an environment is finite, shape [num_envs]."""
+        return torch.stack([torch.isfinite(value.flatten(1)).all(dim=1) for value in vars(self).values()]).all(dim=0)
+
+
+class Engine(Protocol):
+    """A batch of humanoids on flat ground, stepped one control step at a time."""
+
+    name: ClassVar[str]
+    num_envs: int
+    device: torch.device
+
+    @property
+    def state(self) -> RobotState:
+        """State after the last :meth:`step` or :meth:`reset`; its tensors are copies that later steps leave alone."""
+        ...
+
+    def step(
+        self,
+        target: torch.Tensor,
+        target_velocity: torch.Tensor,
+        reflex_torque: torch.Tensor,
+        *,
+        push: torch.Tensor | None = None,
+    ) -> None:
+        """Advance all environments by one control step of 1/60 s.
+
+        The PD law (Eq. 4) runs in every physics step; the sum of CPG and reflex torque is limited per joint.
+
+        Args:
+            target: Target joint angles theta_t [rad], shape [num_envs, 28].
+            target_velocity: Their rate [rad/s], shape [num_envs, 28].
+            reflex_torque: tau_r [N m], shape [num_envs, 28].
+            push: External force on the torso's centre of mass, world frame [N], shape [num_envs, 3], for this step.
+        """
+        ...
+
+    def reset(
+        self,
+        mask: torch.Tensor,
+        *,
+        root_position: torch.Tensor,
+        root_rotation: torch.Tensor,
+        root_linear_velocity: torch.Tensor,
+        root_angular_velocity: torch.Tensor,
+        joint_position: torch.Tensor,
+        joint_velocity: torch.Tensor,
+    ) -> None:
+        """Put the masked environments into new states; the others are not touched.
+
+        Args:
+            mask: Environments to reset, bool, shape [num_envs].
+            root_position: As in :class:`RobotState`, all environments' rows; those outside the mask are ignored.
+            root_rotation: As in :class:`RobotState`.
+            root_linear_velocity: As in :class:`RobotState`.
+            root_angular_velocity: As in :class:`RobotState`.
+            joint_position: As in :class:`RobotState`.
+            joint_velocity: As in :class:`RobotState`.
+        """
+        ...
+
+    def overflows(self) -> int:
+        """Number of environments that ever ran out of contact or constraint buffers."""
+        ...

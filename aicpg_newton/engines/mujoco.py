@@ -1,0 +1,286 @@
+"""Humanoids on all cores of a CPU: MuJoCo's C engine, stepping in threads the model that Newton exports."""
+
+# The type checker cannot see into MuJoCo's compiled module.
+# pyright: reportAttributeAccessIssue=false
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import tempfile
+from pathlib import Path
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+import torch
+from mujoco.rollout import Rollout
+
+from aicpg_newton import rotations
+from aicpg_newton.engines.interface import Physics, RobotState
+from aicpg_newton.engines.model import ROOT_DOFS, build, make_solver
+from aicpg_newton.errors import UserError
+from aicpg_newton.humanoid import FOOT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors, joint_index
+from aicpg_newton.kinematics import HEAD_CENTRE
+
+_TORSO, _HEAD = LINK_NAMES.index("torso"), LINK_NAMES.index("head")
+
+_SPINE = tuple(joint_index(f"{part}_{axis}") for part in ("abdomen", "neck") for axis in "xyz")
+"""The hinges between pelvis, torso and head."""
+
+_XYZW = [4, 5, 6, 3]
+"""Where MuJoCo's joint coordinates hold the root's quaternion, which it writes (w, x, y, z)."""
+
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
+"""What a row of the batch holds: time, joint coordinates, joint velocities."""
+
+_INPUT = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+"""What every physics step is given: the actuators' inputs, then force and torque on each body's centre of mass."""
+
+_FOOT_READINGS = 12
+"""Sensor values of a foot: contact force, torque and their point, then the foot frame's origin."""
+
+_NET_FORCE = 3
+"""MuJoCo's ``reduce="netforce"``: all contacts of a body as one force and torque in the world frame."""
+
+_LARGEST = 1e10
+"""MuJoCo's own bound (mjMAXVAL) on a sound coordinate or velocity."""
+
+_Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+class MujocoEngine:
+    """:class:`~aicpg_newton.engines.interface.Engine` on MuJoCo's C engine, a thread for every core; CPU only.
+
+    The state is kept in double precision; the tensors that go in and out are single.
+
+    Args:
+        num_envs: Number of humanoids.
+        device: ``cpu``.
+        motors: Gains, limits, damping and armature per joint.
+        physics: Simulation settings; the buffer sizes have no meaning here, see :meth:`overflows`.
+        mjcf: Geometry; joints and links are found by name.
+
+    Raises:
+        UserError: The device is not the CPU.
+    """
+
+    name: ClassVar[str] = "mujoco"
+
+    def __init__(
+        self, num_envs: int, device: torch.device | str, motors: Motors, physics: Physics, mjcf: Path = MJCF_PATH
+    ) -> None:
+        self.num_envs = num_envs
+        self.device = torch.device(device)
+        if self.device.type != "cpu":
+            raise UserError(f"engine 'mujoco' cannot run on device {str(self.device)!r}; use cpu or engine 'newton'")
+        self.physics = physics
+        self._load(motors, mjcf)
+        threads = min(len(os.sched_getaffinity(0)), num_envs)
+        self._rollout = Rollout(nthread=threads)
+        self._data = [mujoco.MjData(self.model) for _ in range(threads)]
+        self._models = [self.model] * num_envs
+        rest = np.concatenate(([0.0], self.model.qpos0, np.zeros(self.model.nv)))
+        assert mujoco.mj_stateSize(self.model, _STATE) == rest.size
+        self._rest = rest
+        self._rows: _Array = np.tile(rest, (num_envs, 1))
+        self._qpos = self._rows[:, 1 : 1 + self.model.nq]
+        self._qvel = self._rows[:, 1 + self.model.nq :]
+        self._inputs: _Array = np.zeros((num_envs, physics.substeps, mujoco.mj_stateSize(self.model, _INPUT)))
+        self._trajectory: _Array = np.zeros((num_envs, physics.substeps, rest.size))
+        self._readings: _Array = np.zeros((num_envs, physics.substeps, self.model.nsensordata))
+        self._torque = torch.zeros(num_envs, NUM_JOINTS)
+        self._foot_wrench = torch.zeros(num_envs, 2, 6)
+        self.state = self._read()
+
+    def _load(self, motors: Motors, mjcf: Path) -> None:
+        """Take over Newton's model, add sensors to it, and find the package's joints and links in it."""
+        builder, layout = build(1, motors, self.physics, mjcf)
+        with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+            path = Path(folder) / "humanoid.xml"
+            solver = make_solver(
+                builder.finalize(device="cpu"), self.physics, use_mujoco_cpu=True, save_to_mjcf=str(path)
+            )
+            spec = mujoco.MjSpec.from_file(str(path))
+        exported = solver.mj_model
+        assert solver.mjc_body_to_newton is not None and solver.mjc_jnt_to_newton_dof is not None
+        body_of = {int(body): i for i, body in enumerate(solver.mjc_body_to_newton.numpy()[0])}
+        joint_of = {int(dof): i for i, dof in enumerate(solver.mjc_jnt_to_newton_dof.numpy()[0])}
+        bodies = [body_of[link] for link in layout.links]
+        joints = [joint_of[ROOT_DOFS + hinge] for hinge in layout.joints]
+        _add_sensors(
+            spec,
+            [exported.body(bodies[LINK_NAMES.index(name)]).name for name in FOOT_NAMES],
+            [exported.joint(joint).name for joint in joints],
+        )
+        model = self.model = spec.compile()
+        model.opt.timestep = self.physics.timestep
+        # Left on, it would put a diverged environment back to the initial pose without a word.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+        self._coordinates = model.jnt_qposadr[joints]
+        self._dofs = model.jnt_dofadr[joints]
+        self._spine = self._coordinates[list(_SPINE)]
+        position_actuator = {}
+        velocity_actuator = {}
+        for actuator in range(model.nu):
+            is_position = model.actuator_biasprm[actuator, 1] != 0.0
+            (position_actuator if is_position else velocity_actuator)[int(model.actuator_trnid[actuator, 0])] = actuator
+        self._position_inputs = np.array([position_actuator[joint] for joint in joints])
+        self._velocity_inputs = np.array([velocity_actuator[joint] for joint in joints])
+        self._position_gain = model.actuator_gainprm[self._position_inputs, 0].copy()
+        torso_wrench = model.nu + 6 * bodies[_TORSO]
+        self._push_inputs = slice(torso_wrench, torso_wrench + 3)
+        self._torso_offset, self._head_offset = (
+            torch.tensor(model.body_pos[bodies[link]], dtype=torch.float32) for link in (_TORSO, _HEAD)
+        )
+
+    def step(
+        self,
+        target: torch.Tensor,
+        target_velocity: torch.Tensor,
+        reflex_torque: torch.Tensor,
+        *,
+        push: torch.Tensor | None = None,
+    ) -> None:
+        """See :meth:`Engine.step`. A torque on top of the PD law is a shift of its position target by tau_r / Kp."""
+        shifted = target.detach().double().numpy() + reflex_torque.detach().double().numpy() / self._position_gain
+        inputs = np.zeros((self.num_envs, self._inputs.shape[2]))
+        inputs[:, self._position_inputs] = shifted
+        inputs[:, self._velocity_inputs] = target_velocity.detach().numpy()
+        if push is not None:
+            inputs[:, self._push_inputs] = push.detach().numpy()
+        # MuJoCo replaces inputs that are not finite by zeros; such environments are to show up as not finite instead.
+        sound = np.isfinite(inputs).all(axis=1) & (np.abs(self._rows) < _LARGEST).all(axis=1)
+        self._rows[~sound] = self._rest
+        inputs[~sound] = 0.0
+        self._inputs[:] = inputs[:, None]
+        self._rows[:, 0] = 0.0
+        self._rollout.rollout(
+            self._models,
+            self._data,
+            self._rows,
+            self._inputs,
+            control_spec=_INPUT,
+            skip_checks=True,
+            nstep=self.physics.substeps,
+            state=self._trajectory,
+            sensordata=self._readings,
+        )
+        self._rows[:] = self._trajectory[:, -1]
+        # A rollout stops at MuJoCo's first warning, of numbers too large or of memory; its clock tells.
+        sound &= self._rows[:, 0] > (self.physics.substeps - 0.5) * self.physics.timestep
+        self._rows[~sound] = np.nan
+        self._readings[~sound] = np.nan
+        self._read_sensors()
+        self.state = self._read()
+
+    def reset(
+        self,
+        mask: torch.Tensor,
+        *,
+        root_position: torch.Tensor,
+        root_rotation: torch.Tensor,
+        root_linear_velocity: torch.Tensor,
+        root_angular_velocity: torch.Tensor,
+        joint_position: torch.Tensor,
+        joint_velocity: torch.Tensor,
+    ) -> None:
+        """See :meth:`Engine.reset`. MuJoCo's free joint carries the angular velocity in the pelvis frame."""
+        local = rotations.rotate(rotations.conjugate(root_rotation.double()), root_angular_velocity.double())
+        rows = mask.numpy()
+        qpos, qvel = np.empty_like(self._qpos), np.empty_like(self._qvel)
+        qpos[:, :3] = root_position.numpy()
+        qpos[:, _XYZW] = root_rotation.numpy()
+        qpos[:, self._coordinates] = joint_position.numpy()
+        qvel[:, :3] = root_linear_velocity.numpy()
+        qvel[:, 3:ROOT_DOFS] = local.numpy()
+        qvel[:, self._dofs] = joint_velocity.numpy()
+        self._qpos[rows] = qpos[rows]
+        self._qvel[rows] = qvel[rows]
+        self._rows[rows, 0] = 0.0  # the clock of an environment that was not finite
+        self._torque.masked_fill_(mask.unsqueeze(1), 0.0)
+        self._foot_wrench.masked_fill_(mask[:, None, None], 0.0)
+        self.state = self._read()
+
+    def _read_sensors(self) -> None:
+        """Motor torque of the last physics step and each foot's wrench about its frame's origin, mean over all."""
+        feet = self._readings[..., : 2 * _FOOT_READINGS].reshape(self.num_envs, self.physics.substeps, 2, 4, 3)
+        # MuJoCo gives the foot's force on the ground.
+        force, torque = -feet[..., 0, :], -feet[..., 1, :]
+        arm = feet[..., 2, :] - feet[..., 3, :]
+        wrench = np.concatenate((force, torque + np.cross(arm, force)), axis=-1).mean(axis=1)
+        self._foot_wrench = torch.from_numpy(wrench).float()
+        self._torque = torch.from_numpy(self._readings[:, -1, 2 * _FOOT_READINGS :]).float()
+
+    def _read(self) -> RobotState:
+        """The state as new tensors: the way from double to single precision copies."""
+        # numpy picks columns and takes sines: torch would do it in threads that get in the way of MuJoCo's.
+        position, rotation, joint_position = (
+            torch.from_numpy(self._qpos[:, columns]).float() for columns in (slice(3), _XYZW, self._coordinates)
+        )
+        linear_velocity, local_angular_velocity, joint_velocity = (
+            torch.from_numpy(self._qvel[:, columns]).float() for columns in (slice(3), slice(3, ROOT_DOFS), self._dofs)
+        )
+        return RobotState(
+            root_position=position,
+            root_rotation=rotation,
+            root_linear_velocity=linear_velocity,
+            root_angular_velocity=rotations.rotate(rotation, local_angular_velocity),
+            joint_position=joint_position,
+            joint_velocity=joint_velocity,
+            joint_torque=self._torque.clone(),
+            head_position=self._head_position(position, rotation, self._qpos[:, self._spine]),
+            foot_force=self._foot_wrench[..., :3].clone(),
+            foot_moment=self._foot_wrench[..., 3:].clone(),
+        )
+
+    def _head_position(self, position: torch.Tensor, pelvis: torch.Tensor, angles: _Array) -> torch.Tensor:
+        """Centre of the head; a sensor's reading would be one physics step old."""
+        half = 0.5 * angles.reshape(-1, 2, 3)
+        turns = np.zeros((3, self.num_envs, 2, 4))  # a link's hinges turn about x, y and z, in this order
+        for axis in range(3):
+            turns[axis, :, :, axis], turns[axis, :, :, 3] = np.sin(half[..., axis]), np.cos(half[..., axis])
+        x, y, z = torch.from_numpy(turns).float().unbind(dim=0)
+        abdomen, neck = rotations.multiply(rotations.multiply(x, y), z).unbind(dim=1)
+        torso = rotations.multiply(pelvis, abdomen)
+        centre = torch.tensor(HEAD_CENTRE).expand_as(position)
+        from_torso = self._head_offset + rotations.rotate(neck, centre)
+        return (
+            position
+            + rotations.rotate(pelvis, self._torso_offset.expand_as(position))
+            + rotations.rotate(torso, from_torso)
+        )
+
+    def overflows(self) -> int:
+        """See :meth:`Engine.overflows`: always 0, as MuJoCo's C engine has no fixed number of contacts or constraints.
+
+        It takes them from one large arena; should that run out, the environment stops and shows up as not finite.
+        """
+        return 0
+
+
+def _add_sensors(spec: mujoco.MjSpec, feet: list[str], joints: list[str]) -> None:
+    """Add what :meth:`MujocoEngine._read_sensors` takes apart: sensors of both feet, then each joint's motor torque."""
+    data = mujoco.mjtConDataField
+    wanted = sum(1 << field.value for field in (data.mjCONDATA_FORCE, data.mjCONDATA_TORQUE, data.mjCONDATA_POS))
+    for foot in feet:
+        spec.add_sensor(
+            name=f"{foot}_contact",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            objname=foot,
+            intprm=[wanted, _NET_FORCE, 1],
+        )
+        spec.add_sensor(
+            name=f"{foot}_origin",
+            type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
+            objtype=mujoco.mjtObj.mjOBJ_XBODY,
+            objname=foot,
+        )
+    for joint in joints:
+        spec.add_sensor(
+            name=f"{joint}_torque",
+            type=mujoco.mjtSensor.mjSENS_JOINTACTFRC,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=joint,
+        )

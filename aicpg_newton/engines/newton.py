@@ -1,0 +1,218 @@
+"""Thousands of humanoids on NVIDIA Newton: MuJoCo-Warp dynamics, torch views of Warp arrays, a CUDA graph on a GPU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import newton
+import torch
+import warp as wp
+
+from aicpg_newton import rotations
+from aicpg_newton.engines import kernels
+from aicpg_newton.engines.interface import Physics, RobotState
+from aicpg_newton.engines.model import ROOT_COORDINATES, ROOT_DOFS, build, make_solver
+from aicpg_newton.humanoid import FOOT_NAMES, LINK_NAMES, MJCF_PATH, Motors
+from aicpg_newton.kinematics import HEAD_CENTRE
+
+_PELVIS, _TORSO, _HEAD = (LINK_NAMES.index(name) for name in ("pelvis", "torso", "head"))
+
+
+class NewtonEngine:
+    """:class:`~aicpg_newton.engines.interface.Engine` on Newton's SolverMuJoCo (MuJoCo-Warp), CUDA or CPU.
+
+    Args:
+        num_envs: Number of humanoids, each in a world of its own.
+        device: Torch device, ``cuda:0`` or ``cpu``.
+        motors: Gains, limits, damping and armature per joint.
+        physics: Simulation settings.
+        mjcf: Geometry; joints and links are found by name.
+    """
+
+    name: ClassVar[str] = "newton"
+
+    def __init__(
+        self, num_envs: int, device: torch.device | str, motors: Motors, physics: Physics, mjcf: Path = MJCF_PATH
+    ) -> None:
+        self.num_envs = num_envs
+        self.device = torch.device(device)
+        self.physics = physics
+        builder, layout = build(num_envs, motors, physics, mjcf)
+        self._wp_device = wp.device_from_torch(self.device)
+        # Any: Newton annotates its arrays as optional.
+        self.model: Any = builder.finalize(device=self._wp_device)
+        self.solver = make_solver(self.model, physics)
+        # An even number of substeps ends in the state it began in, so a captured graph needs no copy.
+        self._states: tuple[Any, Any] = (self.model.state(), self.model.state())
+        self._control: Any = self.model.control()
+        self._contacts = newton.Contacts(self.solver.get_max_contact_count(), 0, device=self._wp_device)
+        kinds = self.solver.ObservableKind
+        self._observables: Any = self.solver.observables(
+            {kinds.CONTACT_F, kinds.QFRC_ACTUATOR, kinds.OVERFLOW}, contacts=self._contacts
+        )
+        self._map_layout(layout.joints, layout.links, layout.foot_shapes)
+        self._view_arrays()
+        newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
+        self._graph: wp.Graph | None = None
+        if self.device.type == "cuda":
+            self._substeps()  # compiles every kernel before the capture
+            with wp.ScopedCapture(device=self._wp_device) as capture:
+                self._substeps()
+            self._graph = capture.graph
+            self.solver.reset(self._states[0])
+            newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
+        self.state = self._read()
+
+    def _map_layout(self, joints: tuple[int, ...], links: tuple[int, ...], foot_shapes: tuple[int, ...]) -> None:
+        hinges = torch.tensor(joints, device=self.device)
+        self._coordinates = ROOT_COORDINATES + hinges
+        self._dofs = ROOT_DOFS + hinges
+        self._links = torch.tensor(links, device=self.device)
+        bodies, shapes = self.model.body_count // self.num_envs, (self.model.shape_count - 1) // self.num_envs
+        worlds = torch.arange(self.num_envs).unsqueeze(1)
+        feet = torch.tensor([links[LINK_NAMES.index(name)] for name in FOOT_NAMES])
+        foot_of_shape = torch.full((self.model.shape_count,), -1, dtype=torch.int32)
+        shape_of_foot = (worlds * shapes + torch.tensor(foot_shapes)).flatten()
+        foot_of_shape[shape_of_foot] = torch.arange(shape_of_foot.numel(), dtype=torch.int32)
+        self._foot_of_shape = wp.array(foot_of_shape.numpy(), dtype=wp.int32, device=self._wp_device)
+        foot_body = (worlds * bodies + feet).flatten().to(torch.int32)
+        self._foot_body = wp.array(foot_body.numpy(), dtype=wp.int32, device=self._wp_device)
+        self._foot_wrench_array: Any = wp.zeros(self.num_envs * 2, dtype=wp.spatial_vectorf, device=self._wp_device)
+        self._overflow_array = wp.zeros(self.num_envs, dtype=wp.int32, device=self._wp_device)
+        self._reset_worlds = wp.zeros(self.num_envs + 1, dtype=wp.bool, device=self._wp_device)
+        self._reset_robots = wp.zeros(self.num_envs, dtype=wp.bool, device=self._wp_device)
+
+    def _view_arrays(self) -> None:
+        """Torch views of the Warp arrays that are read and written around the substeps; nothing is copied."""
+        n = self.num_envs
+        state = self._states[0]
+        self._joint_q = wp.to_torch(state.joint_q).view(n, -1)
+        self._joint_qd = wp.to_torch(state.joint_qd).view(n, -1)
+        self._body_q = wp.to_torch(state.body_q).view(n, -1, 7)
+        self._body_f = [wp.to_torch(each.body_f).view(n, -1, 6) for each in self._states]
+        self._target_q = wp.to_torch(self._control.joint_target_q).view(n, -1)
+        self._target_qd = wp.to_torch(self._control.joint_target_qd).view(n, -1)
+        self._torque = wp.to_torch(self._observables.qfrc_actuator).view(n, -1)
+        self._foot_wrench = wp.to_torch(self._foot_wrench_array).view(n, 2, 6)
+        self._overflow = wp.to_torch(self._overflow_array)
+        self._world_mask = wp.to_torch(self._reset_worlds)
+        self._robot_mask = wp.to_torch(self._reset_robots)
+        com = wp.to_torch(self.model.body_com).view(n, -1, 3)
+        self._pelvis_com = com[:, self._links[_PELVIS]].clone()
+        self._head_centre = torch.tensor(HEAD_CENTRE, device=self.device).expand(n, 3)
+        self._position_gain = wp.to_torch(self.model.joint_target_ke).view(n, -1)[:, self._dofs].clone()
+
+    def _substeps(self) -> None:
+        """All physics steps of a control step, in Warp only, so that a CUDA graph can hold them."""
+        self._foot_wrench_array.zero_()
+        state_in, state_out = self._states
+        for _ in range(self.physics.substeps):
+            self.solver.step(
+                state_in,
+                state_out,
+                self._control,
+                self._contacts,
+                self.physics.timestep,
+                observables=self._observables,
+            )
+            wp.launch(
+                kernels.add_foot_wrenches,
+                dim=self._contacts.rigid_contact_max,
+                inputs=[
+                    self._contacts.rigid_contact_count,
+                    self._contacts.rigid_contact_shape0,
+                    self._contacts.rigid_contact_shape1,
+                    self._contacts.rigid_contact_point0,
+                    self._contacts.rigid_contact_point1,
+                    self._observables.contact_f,
+                    self._foot_of_shape,
+                    self._foot_body,
+                    state_out.body_q,
+                    1.0 / self.physics.substeps,
+                ],
+                outputs=[self._foot_wrench_array],
+                device=self._wp_device,
+            )
+            wp.launch(
+                kernels.note_overflow,
+                dim=self.num_envs,
+                inputs=[self._observables.overflow],
+                outputs=[self._overflow_array],
+                device=self._wp_device,
+            )
+            state_in, state_out = state_out, state_in
+
+    def step(
+        self,
+        target: torch.Tensor,
+        target_velocity: torch.Tensor,
+        reflex_torque: torch.Tensor,
+        *,
+        push: torch.Tensor | None = None,
+    ) -> None:
+        """See :meth:`Engine.step`. A torque on top of the PD law is a shift of its position target by tau_r / Kp."""
+        self._target_q[:, self._coordinates] = target + reflex_torque / self._position_gain
+        self._target_qd[:, self._dofs] = target_velocity
+        for body_f in self._body_f:
+            body_f.zero_()
+            if push is not None:
+                body_f[:, self._links[_TORSO], :3] = push
+        if self._graph is not None:
+            wp.capture_launch(self._graph)
+        else:
+            self._substeps()
+        self.state = self._read()
+
+    def reset(
+        self,
+        mask: torch.Tensor,
+        *,
+        root_position: torch.Tensor,
+        root_rotation: torch.Tensor,
+        root_linear_velocity: torch.Tensor,
+        root_angular_velocity: torch.Tensor,
+        joint_position: torch.Tensor,
+        joint_velocity: torch.Tensor,
+    ) -> None:
+        """See :meth:`Engine.reset`. Newton's free joint carries the velocity of the pelvis's centre of mass."""
+        com = rotations.rotate(root_rotation, self._pelvis_com)
+        com_velocity = root_linear_velocity + torch.linalg.cross(root_angular_velocity, com)
+        joint_q, joint_qd = torch.empty_like(self._joint_q), torch.empty_like(self._joint_qd)
+        joint_q[:, :ROOT_COORDINATES] = torch.cat((root_position, root_rotation), dim=1)
+        joint_q[:, self._coordinates] = joint_position
+        joint_qd[:, :ROOT_DOFS] = torch.cat((com_velocity, root_angular_velocity), dim=1)
+        joint_qd[:, self._dofs] = joint_velocity
+        rows = mask.unsqueeze(1)
+        self._joint_q.copy_(torch.where(rows, joint_q, self._joint_q))
+        self._joint_qd.copy_(torch.where(rows, joint_qd, self._joint_qd))
+        self._torque.masked_fill_(rows, 0.0)
+        self._foot_wrench.masked_fill_(rows.unsqueeze(2), 0.0)
+        self._world_mask[:-1] = mask
+        self._robot_mask.copy_(mask)
+        state = self._states[0]
+        self.solver.reset(state, self._reset_worlds, flags=0)
+        newton.eval_fk(self.model, state.joint_q, state.joint_qd, state, mask=self._reset_robots)
+        self.state = self._read()
+
+    def _read(self) -> RobotState:
+        rotation = self._joint_q[:, 3:ROOT_COORDINATES].clone()
+        angular_velocity = self._joint_qd[:, 3:ROOT_DOFS].clone()
+        com = rotations.rotate(rotation, self._pelvis_com)
+        head = self._body_q[:, self._links[_HEAD]]
+        return RobotState(
+            root_position=self._joint_q[:, :3].clone(),
+            root_rotation=rotation,
+            root_linear_velocity=self._joint_qd[:, :3] - torch.linalg.cross(angular_velocity, com),
+            root_angular_velocity=angular_velocity,
+            joint_position=self._joint_q[:, self._coordinates],
+            joint_velocity=self._joint_qd[:, self._dofs],
+            joint_torque=self._torque[:, self._dofs],
+            head_position=head[:, :3] + rotations.rotate(head[:, 3:], self._head_centre),
+            foot_force=self._foot_wrench[..., :3].clone(),
+            foot_moment=self._foot_wrench[..., 3:].clone(),
+        )
+
+    def overflows(self) -> int:
+        """See :meth:`Engine.overflows`."""
+        return int((self._overflow != 0).sum())
