@@ -1,0 +1,240 @@
+"""What is to be learned, as data: the dataclasses that the files in ``tasks/`` fill in.
+
+Every field can be read in the run's ``config.yaml`` and changed on the command line; its docstring is the help text.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import typing
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import tyro
+
+from aicpg_newton.engines.interface import Physics
+from aicpg_newton.errors import UserError
+from aicpg_newton.rewards import PatternError
+
+
+@dataclass(kw_only=True)
+class Frequencies:
+    """Stride frequencies f, spread evenly over the environments; each keeps its own."""
+
+    minimum: float = 0.8
+    """Lowest f [Hz] (paper, Sec. III-A)."""
+    maximum: float = 1.4
+    """Highest f [Hz] (paper, Sec. III-A)."""
+
+
+@dataclass(kw_only=True)
+class RewardWeights:
+    """Factor of each reward term; the sum is Eq. 5. Logged as Episode_Reward/<name>, weighted, per step."""
+
+    head_height: float = 1.0
+    """R_h, height of the head [m]."""
+    reflex_energy: float = -0.5
+    """-alpha R_e, effort of the reflex."""
+    survival: float = 1.0
+    """R_a."""
+    upright: float = 1.0
+    """R_s."""
+    target_velocity: float = 1.0
+    """R_d, velocity in the target direction [m/s]."""
+    pattern_tracking: float = 5.0
+    """beta R_g, following the CPG."""
+    sideways_speed: float = -0.5
+    """Cost on sideways speed [m/s]; not in the paper (0 there), keeps the path straight."""
+
+
+@dataclass(kw_only=True)
+class Rewards:
+    """Reward of Eq. 5-8."""
+
+    weights: RewardWeights = field(default_factory=RewardWeights)
+    """Factor of each term."""
+    pattern_error: PatternError = "sum_of_magnitudes"
+    """Reading of Eq. 7. As printed (magnitude_of_sum) errors cancel, and speed stopped following f in a first trial."""
+    pattern_error_bound: float = 5.0
+    """b of Eq. 8 [rad]. The paper's 2.5 goes with the printed reading; the sum of 28 magnitudes is larger."""
+    scale: float = 0.1
+    """Factor on the whole reward, for a value function of order one."""
+
+
+@dataclass(kw_only=True)
+class Reflex:
+    """How the network's action becomes the reflex torque tau_r."""
+
+    torque_share: float = 0.25
+    """tau_r = share x torque limit x action, limited to the joint's limit."""
+
+
+@dataclass(kw_only=True)
+class Resets:
+    """Start states: the CPG's pose and velocities at a random phase, feet on the ground."""
+
+    minimum_speed: float = 0.5
+    """Least forward speed, as a share of the gait's own."""
+    maximum_speed: float = 1.0
+    """Greatest forward speed, as a share of the gait's own."""
+
+
+@dataclass(kw_only=True)
+class Termination:
+    """When an episode ends."""
+
+    minimum_height: float = 0.55
+    """A pelvis below this height above the ground [m] is a fall."""
+    maximum_tilt: float = 60.0
+    """A pelvis tilted by more than this angle from the vertical [deg] is a fall."""
+    maximum_heading: float = 57.0
+    """Facing away from the target by more than this angle [deg] ends the episode like a fall; 180 never does."""
+    episode_steps: int = 1000
+    """Control steps until the time is out."""
+
+
+@dataclass(kw_only=True)
+class Pushes:
+    """Random pushes on the torso."""
+
+    force: float = 0.0
+    """Largest force along each world axis [N]; 0 turns pushes off."""
+    duration: float = 0.1
+    """Duration of a push [s]."""
+    interval: float = 1.0
+    """Time from push to push [s]."""
+
+
+@dataclass(kw_only=True)
+class Learning:
+    """Proximal policy optimisation, as rsl_rl's runner takes it."""
+
+    hidden_sizes: tuple[int, ...] = (512, 256, 128)
+    """Hidden layers of actor and critic (paper, Sec. II-A.2)."""
+    activation: str = "relu"
+    """Activation function (paper: ReLU)."""
+    initial_std: float = 0.4
+    """Standard deviation of the actions at the start."""
+    steps_per_iteration: int = 32
+    """Control steps per environment and iteration."""
+    epochs: int = 5
+    """Passes over the collected samples."""
+    minibatches: int = 8
+    """Minibatches per pass."""
+    learning_rate: float = 1e-3
+    """Learning rate at the start; adapted to the KL divergence."""
+    desired_kl: float = 0.015
+    """KL divergence the learning rate is adapted to."""
+    discount: float = 0.99
+    """Discount factor gamma."""
+    gae_lambda: float = 0.95
+    """Lambda of generalised advantage estimation."""
+    clip: float = 0.2
+    """Clipping range of the policy ratio."""
+    entropy_coefficient: float = 0.0
+    """Weight of the entropy bonus."""
+    value_coefficient: float = 1.0
+    """Weight of the value loss."""
+    maximum_gradient_norm: float = 1.0
+    """Gradient clipping."""
+    symmetry: bool = True
+    """Learn from every sample and its left-right mirror image."""
+    save_interval: int = 50
+    """Iterations between checkpoints."""
+
+
+@dataclass(kw_only=True)
+class Task:
+    """One task: ground, commands, rewards, resets and the learning that goes with them."""
+
+    name: Annotated[str, tyro.conf.Suppress]
+    """Name in the registry ``tasks/__init__.py``."""
+    frequencies: Frequencies = field(default_factory=Frequencies)
+    reflex: Reflex = field(default_factory=Reflex)
+    rewards: Rewards = field(default_factory=Rewards)
+    resets: Resets = field(default_factory=Resets)
+    termination: Termination = field(default_factory=Termination)
+    pushes: Pushes = field(default_factory=Pushes)
+    physics: Physics = field(default_factory=Physics)
+    learning: Learning = field(default_factory=Learning)
+
+    def validate(self) -> None:
+        """Refuse settings that cannot be run.
+
+        Raises:
+            UserError: A number is not finite or out of its range; the message names the setting.
+        """
+        for name, value in _numbers(self):
+            if not math.isfinite(value):
+                raise UserError(f"{name} is {value}; give a finite number")
+        self.physics.validate()
+        if not 0 < self.frequencies.minimum <= self.frequencies.maximum:
+            raise UserError(
+                f"frequencies run from {self.frequencies.minimum} to {self.frequencies.maximum} Hz;"
+                " give a positive minimum no larger than the maximum"
+            )
+        positive = {
+            "reflex.torque_share": self.reflex.torque_share,
+            "rewards.pattern_error_bound": self.rewards.pattern_error_bound,
+            "termination.episode_steps": self.termination.episode_steps,
+            "pushes.duration": self.pushes.duration,
+            "pushes.interval": self.pushes.interval,
+            "learning.initial_std": self.learning.initial_std,
+            "learning.steps_per_iteration": self.learning.steps_per_iteration,
+            "learning.epochs": self.learning.epochs,
+            "learning.minibatches": self.learning.minibatches,
+            "learning.save_interval": self.learning.save_interval,
+            "learning.hidden_sizes": min(self.learning.hidden_sizes, default=0),
+        }
+        for name, value in positive.items():
+            if value <= 0:
+                raise UserError(f"{name} is {value}; give a positive number")
+
+
+def _numbers(settings: Any, prefix: str = "") -> list[tuple[str, float]]:
+    """All numbers in nested dataclasses, with their dotted names."""
+    found: list[tuple[str, float]] = []
+    for each in dataclasses.fields(settings):
+        value = getattr(settings, each.name)
+        if dataclasses.is_dataclass(value):
+            found += _numbers(value, f"{prefix}{each.name}.")
+        elif isinstance(value, (int, float)):
+            found.append((prefix + each.name, float(value)))
+    return found
+
+
+def task_from_dict(content: Any, source: str) -> Task:
+    """Rebuild a task from ``dataclasses.asdict``, as stored in checkpoints.
+
+    Args:
+        content: Nested dictionary.
+        source: Where it comes from, for messages.
+
+    Raises:
+        UserError: A setting is unknown or missing, or has the wrong kind of value.
+    """
+    return _from_dict(Task, content, source)
+
+
+def _from_dict(kind: type, content: Any, source: str) -> Any:
+    names = {each.name for each in dataclasses.fields(kind)}
+    if not isinstance(content, dict) or set(content) != names:
+        given = set(content) if isinstance(content, dict) else set()
+        different = ", ".join(sorted(given ^ names)) or "none"
+        raise UserError(
+            f"{source} holds settings of another version ({kind.__name__}: {different});"
+            " use the version of the code that wrote it"
+        )
+    hints = typing.get_type_hints(kind)
+    values = {}
+    for name, value in content.items():
+        hint = hints[name]
+        if dataclasses.is_dataclass(hint):
+            value = _from_dict(typing.cast(type, hint), value, source)
+        elif typing.get_origin(hint) is tuple:
+            value = tuple(value)
+        elif hint in (int, float, bool, str) and not isinstance(value, (int, float) if hint is float else hint):
+            raise UserError(f"{source} holds {value!r} for {name}; it should be of type {hint.__name__}")
+        values[name] = value
+    return kind(**values)

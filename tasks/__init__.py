@@ -1,0 +1,22 @@
+"""Tasks by name. A task is a function that returns a :class:`~aicpg_newton.task.Task`; add a file and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from aicpg_newton.errors import UserError
+from aicpg_newton.task import Task
+from tasks.flat import flat
+
+TASKS: dict[str, Callable[[], Task]] = {"flat": flat}
+
+
+def get_task(name: str) -> Task:
+    """The task of that name.
+
+    Raises:
+        UserError: There is none.
+    """
+    if name not in TASKS:
+        raise UserError(f"unknown task {name!r}; choose one of: {', '.join(TASKS)}")
+    return TASKS[name]()

@@ -1,0 +1,103 @@
+"""Tasks as data."""
+
+import dataclasses
+
+import pytest
+
+from aicpg_newton.errors import UserError
+from aicpg_newton.task import Task, task_from_dict
+from tasks import TASKS, get_task
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_registered_tasks_are_valid_and_carry_their_name(name: str):
+    """The registry's name is the task's name, and its settings can be run."""
+    task = get_task(name)
+    assert task.name == name
+    task.validate()
+
+
+def test_flat_has_the_papers_numbers():
+    """Eq. 5-8 and Sec. III-A, where the paper gives numbers."""
+    task = get_task("flat")
+    weights = task.rewards.weights
+    assert (weights.head_height, weights.survival, weights.upright, weights.target_velocity) == (1, 1, 1, 1)
+    assert (weights.reflex_energy, weights.pattern_tracking) == (-0.5, 5.0)
+    assert (task.frequencies.minimum, task.frequencies.maximum) == (0.8, 1.4)
+    assert task.learning.hidden_sizes == (512, 256, 128)
+    assert task.learning.activation == "relu"
+
+
+def test_unknown_task():
+    """The message lists the choices."""
+    with pytest.raises(UserError, match=r"unknown task 'hill'; choose one of: flat"):
+        get_task("hill")
+
+
+def test_round_trip_through_a_dictionary():
+    """A changed task comes back equal, tuples included."""
+    task = get_task("flat")
+    task.learning.hidden_sizes = (64, 32)
+    task.rewards.weights.upright = 2.5
+    assert task_from_dict(dataclasses.asdict(task), "file") == task
+
+
+def test_settings_of_another_version_are_refused():
+    """A missing or unknown setting is named."""
+    content = dataclasses.asdict(get_task("flat"))
+    content["reflex"]["gain"] = 3.0
+    with pytest.raises(UserError, match="Reflex: gain"):
+        task_from_dict(content, "file")
+    content = dataclasses.asdict(get_task("flat"))
+    del content["pushes"]
+    with pytest.raises(UserError, match="Task: pushes"):
+        task_from_dict(content, "file")
+    content = dataclasses.asdict(get_task("flat"))
+    content["reflex"]["torque_share"] = "much"
+    with pytest.raises(UserError, match="torque_share"):
+        task_from_dict(content, "file")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("frequencies.minimum", 0.0, "frequencies run from 0.0"),
+        ("frequencies.minimum", 1.5, "frequencies run from 1.5"),
+        ("rewards.weights.upright", float("nan"), "rewards.weights.upright is nan"),
+        ("rewards.pattern_error_bound", 0.0, "rewards.pattern_error_bound is 0.0"),
+        ("physics.substeps", 3, "physics.substeps is 3"),
+        ("physics.iterations", 0, "physics.iterations is 0"),
+        ("learning.minibatches", 0, "learning.minibatches is 0"),
+        ("learning.hidden_sizes", (), "learning.hidden_sizes is 0"),
+        ("termination.maximum_tilt", float("inf"), "termination.maximum_tilt is inf"),
+    ],
+)
+def test_bad_settings_are_named(path: str, value: object, message: str):
+    """A setting that cannot be run is refused by its name."""
+    task = get_task("flat")
+    *parents, last = path.split(".")
+    owner: object = task
+    for parent in parents:
+        owner = getattr(owner, parent)
+    setattr(owner, last, value)
+    with pytest.raises(UserError, match=message):
+        task.validate()
+
+
+def test_every_setting_has_a_help_text():
+    """Fields of the task are documented where they stand; tyro shows the docstrings."""
+    import inspect
+
+    from aicpg_newton import task
+
+    source = inspect.getsource(task)
+    for each in vars(task).values():
+        if (
+            dataclasses.is_dataclass(each)
+            and each is not Task
+            and isinstance(each, type)
+            and each.__module__ == task.__name__
+        ):
+            for setting in dataclasses.fields(each):
+                after = source.split(f"    {setting.name}: ", 1)[1].split("\n", 2)[1]
+                assert after.strip().startswith('"""'), setting.name
