@@ -1,0 +1,1 @@
+"""PPO by rsl_rl on the AI-CPG environment."""

@@ -1,0 +1,76 @@
+"""From the task's learning settings to the dictionary that rsl_rl's runner takes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+
+from aicpg_newton import observations
+from aicpg_newton.environment import Environment
+from aicpg_newton.humanoid import mirror_joints
+from aicpg_newton.task import Learning
+
+
+def with_mirror_images(
+    env: Environment | None, obs: TensorDict | None, actions: torch.Tensor | None
+) -> tuple[TensorDict | None, torch.Tensor | None]:
+    """Append the left-right mirror image of every sample, as rsl_rl's symmetry extension asks.
+
+    Args:
+        env: Not needed.
+        obs: Observations under the key ``policy``, shape [batch, 192].
+        actions: Actions, shape [batch, 28].
+
+    Returns:
+        Both with shape [2 batch, ...]: originals first, mirror images after.
+    """
+    if obs is not None:
+        seen = obs["policy"]
+        doubled = torch.cat((seen, observations.mirror(seen)))
+        obs = TensorDict({"policy": doubled}, batch_size=[doubled.shape[0]], device=doubled.device)
+    if actions is not None:
+        actions = torch.cat((actions, mirror_joints(actions)))
+    return obs, actions
+
+
+def runner_settings(learning: Learning, seed: int) -> dict[str, Any]:
+    """The configuration of rsl_rl's ``OnPolicyRunner``.
+
+    Args:
+        learning: Settings of the task.
+        seed: Recorded with the run.
+    """
+    network = {
+        "class_name": "MLPModel",
+        "hidden_dims": list(learning.hidden_sizes),
+        "activation": learning.activation,
+        "obs_normalization": True,
+    }
+    noise = {"class_name": "GaussianDistribution", "init_std": learning.initial_std, "std_type": "log"}
+    symmetry = {"data_augmentation_func": with_mirror_images, "use_data_augmentation": True}
+    return {
+        "seed": seed,
+        "num_steps_per_env": learning.steps_per_iteration,
+        "save_interval": learning.save_interval,
+        "obs_groups": {"actor": ["policy"], "critic": ["policy"]},
+        "logger": "tensorboard",
+        "actor": {**network, "distribution_cfg": noise},
+        "critic": network,
+        "algorithm": {
+            "class_name": "PPO",
+            "num_learning_epochs": learning.epochs,
+            "num_mini_batches": learning.minibatches,
+            "clip_param": learning.clip,
+            "gamma": learning.discount,
+            "lam": learning.gae_lambda,
+            "value_loss_coef": learning.value_coefficient,
+            "entropy_coef": learning.entropy_coefficient,
+            "learning_rate": learning.learning_rate,
+            "max_grad_norm": learning.maximum_gradient_norm,
+            "schedule": "adaptive",
+            "desired_kl": learning.desired_kl,
+            "symmetry_cfg": symmetry if learning.symmetry else None,
+        },
+    }

@@ -1,0 +1,167 @@
+"""One training run from settings to checkpoints."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import git
+import torch
+import yaml
+
+from aicpg_newton import checkpoint, humanoid
+from aicpg_newton.cpg import DEFAULT_PATTERN, PatternNetwork
+from aicpg_newton.device import resolve_device
+from aicpg_newton.engines import make_engine
+from aicpg_newton.environment import Environment
+from aicpg_newton.errors import UserError
+from aicpg_newton.learning.runner import Runner
+from aicpg_newton.task import Task, task_from_dict
+
+CONFIG_NAME = "config.yaml"
+
+
+@dataclass(kw_only=True)
+class RunOptions:
+    """How and where to train, apart from the task."""
+
+    num_envs: int | None = None
+    """Number of environments; 8192 on CUDA and 256 on a CPU when not given."""
+    device: str = "auto"
+    """auto, cpu or cuda:N."""
+    engine: str = "auto"
+    """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
+    max_iterations: int = 3000
+    """Iterations of the whole run, those before a resume included (paper, Sec. III-A: 3000 epochs)."""
+    seed: int = 0
+    """Seed of networks, exploration and resets."""
+    run_dir: Path | None = None
+    """Folder of the run; runs/<task>/<date and time> when not given."""
+    pattern: Path = DEFAULT_PATTERN
+    """Weights of the pattern network, from python -m aicpg_newton.motion."""
+    resume: Path | None = None
+    """Checkpoint or run folder to continue, in the same folder unless --run-dir is given."""
+
+
+def train(task: Task, options: RunOptions) -> Path:
+    """Train the reflex network until ``max_iterations`` are done.
+
+    Args:
+        task: What is to be learned.
+        options: How and where.
+
+    Returns:
+        The last checkpoint.
+
+    Raises:
+        UserError: An option cannot be met; nothing has been written then.
+    """
+    task.validate()
+    if options.max_iterations < 1:
+        raise UserError(f"--max-iterations is {options.max_iterations}; give a positive number")
+    if options.num_envs is not None and options.num_envs < 1:
+        raise UserError(f"--num-envs is {options.num_envs}; give at least 1")
+    device = resolve_device(options.device)
+    previous = None if options.resume is None else checkpoint.read(options.resume)
+    if previous is not None and "optimizer_state_dict" not in previous["algorithm"]:
+        raise UserError(
+            f"{options.resume} holds no optimiser, it can only be played; resume from a run's own checkpoint"
+        )
+    if previous is not None and previous["iteration"] >= options.max_iterations:
+        raise UserError(
+            f"{options.resume} has {previous['iteration']} iterations already; give a larger --max-iterations"
+        )
+    if previous is None:
+        pattern = PatternNetwork.load(options.pattern)
+    else:
+        pattern = PatternNetwork.from_content(previous["pattern"], str(options.resume))
+    num_envs = options.num_envs or (8192 if device.type == "cuda" else 256)
+    if options.num_envs is None and previous is not None:
+        num_envs = previous["run"]["num_envs"]
+    samples = num_envs * task.learning.steps_per_iteration
+    if samples < task.learning.minibatches:
+        raise UserError(f"{samples} samples do not fill learning.minibatches = {task.learning.minibatches}; lower it")
+    folder = _run_folder(task, options)
+
+    torch.manual_seed(options.seed)
+    print("Building the simulation; the first time on a machine, compiling its kernels can take two minutes.")
+    motors = humanoid.motors()
+    engine = make_engine(options.engine, num_envs, device, motors, task.physics)
+    environment = Environment(task, engine, pattern, motors, seed=options.seed)
+    print(f"Task {task.name}: {num_envs} environments, engine {engine.name}, device {device}. Run folder: {folder}")
+    run = {
+        "num_envs": num_envs,
+        "engine": engine.name,
+        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
+        "seed": options.seed,
+        "max_iterations": options.max_iterations,
+        "git_revision": git_revision(),
+        "versions": {name: metadata.version(name) for name in ("newton", "warp-lang", "mujoco", "torch", "rsl-rl-lib")},
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_config(folder / CONFIG_NAME, task, run)
+    runner = Runner(environment, run, folder)
+    if previous is not None:
+        runner.restore(previous)
+        print(f"Resumed {options.resume} after {previous['iteration']} iterations.")
+    start = runner.current_learning_iteration
+    try:
+        runner.learn(options.max_iterations - start, init_at_random_ep_len=True)
+    except KeyboardInterrupt:
+        if runner.current_learning_iteration > start:
+            runner.save(str(folder / f"model_{runner.current_learning_iteration}.pt"))
+            print(f"\nStopped; continue with:  python train.py --resume {folder}")
+        raise
+    last = checkpoint.latest(folder)
+    overflows = engine.overflows()
+    if overflows:
+        print(f"Contact or constraint buffers overflowed in {overflows} environments; raise physics.max-contacts.")
+    print(f"Done: {last}\nSee it:  python play.py --checkpoint {last}\nCurves:  tensorboard --logdir {folder}")
+    return last
+
+
+def task_of(resume: Path) -> Task:
+    """The task a checkpoint was trained on.
+
+    Raises:
+        UserError: The checkpoint cannot be read, or is of another version.
+    """
+    return task_from_dict(checkpoint.read(resume)["task"], str(resume))
+
+
+def git_revision() -> str:
+    """Commit of this checkout, with ``+`` where files differ from it; ``unknown`` outside one."""
+    try:
+        repository = git.Repo(__file__, search_parent_directories=True)
+        return repository.head.commit.hexsha + ("+" if repository.is_dirty() else "")
+    except (git.InvalidGitRepositoryError, ValueError):
+        return "unknown"
+
+
+def _run_folder(task: Task, options: RunOptions) -> Path:
+    """Where the run goes; a folder that holds another run is never written into."""
+    if options.run_dir is None and options.resume is not None:
+        return options.resume if options.resume.is_dir() else options.resume.parent
+    if options.run_dir is None:
+        return Path("runs") / task.name / datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    if options.run_dir.exists() and (not options.run_dir.is_dir() or any(options.run_dir.iterdir())):
+        raise UserError(
+            f"--run-dir {options.run_dir} is not empty; choose another folder, or continue it with --resume"
+        )
+    return options.run_dir
+
+
+def _write_config(path: Path, task: Task, run: dict[str, Any]) -> None:
+    """Every setting as it was used."""
+    content = {"run": run, "humanoid": humanoid.version(), "task": _plain(asdict(task))}
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists, for YAML."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, (list, tuple)) else value

@@ -1,0 +1,148 @@
+"""A run from settings to checkpoints, with physics, and its exact continuation."""
+
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from aicpg_newton import checkpoint, humanoid
+from aicpg_newton.cpg import PatternNetwork
+from aicpg_newton.environment import Environment
+from aicpg_newton.errors import UserError
+from aicpg_newton.learning.runner import Runner
+from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.task import Task
+from tasks import get_task
+
+
+def small_task() -> Task:
+    """The flat task with little learning."""
+    task = get_task("flat")
+    task.learning.hidden_sizes = (32, 32)
+    task.learning.steps_per_iteration = 8
+    task.learning.minibatches = 2
+    task.learning.epochs = 2
+    return task
+
+
+def options(folder: Path, **changes) -> RunOptions:
+    """Two iterations of four environments."""
+    return RunOptions(**{"num_envs": 4, "device": "cpu", "max_iterations": 2, "run_dir": folder, **changes})
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run."""
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    train(small_task(), options(folder))
+    return folder
+
+
+def test_run_folder(run: Path):
+    """Checkpoints, the resolved configuration with revision and versions, and a log of every reward term."""
+    assert checkpoint.latest(run).name == "model_1.pt"
+    config = yaml.safe_load((run / "config.yaml").read_text())
+    assert config["task"]["learning"]["hidden_sizes"] == [32, 32]
+    assert config["task"]["frequencies"] == {"minimum": 0.8, "maximum": 1.4}
+    assert config["run"]["num_envs"] == 4
+    assert config["run"]["engine"] == "mujoco"
+    assert config["humanoid"] == humanoid.version()
+    assert {"git_revision", "versions", "seed"} <= set(config["run"])
+    log = EventAccumulator(str(run)).Reload()
+    tags = set(log.Tags()["scalars"])
+    assert {"Loss/value", "Perf/total_fps", "Speed/lowest_third_of_f"} <= tags
+
+
+def test_checkpoint_rebuilds_everything(run: Path, pattern: PatternNetwork):
+    """Task, pattern network and networks come from the one file."""
+    content = checkpoint.read(run)
+    assert content["iteration"] == 2
+    assert content["samples"] == 2 * 4 * 8
+    assert content["task"]["learning"]["steps_per_iteration"] == 8
+    stored = PatternNetwork.from_content(content["pattern"], "checkpoint")
+    window = torch.rand(3, 50)
+    assert torch.equal(stored(window), pattern(window))
+
+
+def test_restore_continues_exactly(run: Path, puppet, pattern: PatternNetwork):
+    """Networks, normalisers, optimiser moments, learning rate, iteration and samples are those of the checkpoint."""
+    content = checkpoint.read(run)
+    content["algorithm"]["optimizer_state_dict"]["param_groups"][0]["lr"] = 1.25e-4
+    environment = Environment(small_task(), puppet(4), pattern, humanoid.motors())
+    runner = Runner(environment, content["run"])
+    runner.restore(content)
+    saved, restored = content["algorithm"], runner.alg.save()
+    for name in ("actor_state_dict", "critic_state_dict"):
+        assert saved[name].keys() == restored[name].keys()
+        assert all(torch.equal(value, restored[name][key]) for key, value in saved[name].items())
+        assert saved[name]["obs_normalizer.count"] == 2 * 4 * 8
+    moments = saved["optimizer_state_dict"]["state"]
+    assert moments
+    for index, state in moments.items():
+        assert torch.equal(state["exp_avg"], restored["optimizer_state_dict"]["state"][index]["exp_avg"])
+    assert runner.alg.learning_rate == 1.25e-4
+    assert runner.current_learning_iteration == 2
+    assert runner.logger.tot_timesteps == 64
+
+
+def test_resume_goes_on_counting(run: Path, tmp_path: Path):
+    """A resumed run does the missing iterations and starts from the checkpoint's samples."""
+    last = train(small_task(), options(tmp_path / "second", resume=run, max_iterations=3))
+    assert last.name == "model_2.pt"
+    content = checkpoint.read(last)
+    assert content["iteration"] == 3
+    assert content["samples"] == 3 * 4 * 8
+
+
+def test_nothing_left_to_do(run: Path):
+    """Resuming a finished run is refused with the number to raise."""
+    with pytest.raises(UserError, match="2 iterations already"):
+        train(small_task(), options(run, resume=run, run_dir=None))
+
+
+def test_a_folder_in_use_is_not_written_into(run: Path):
+    """Another run's folder stays as it is."""
+    before = sorted(path.name for path in run.iterdir())
+    with pytest.raises(UserError, match="not empty"):
+        train(small_task(), options(run))
+    assert sorted(path.name for path in run.iterdir()) == before
+
+
+def test_other_layer_sizes_cannot_resume(run: Path, tmp_path: Path):
+    """The message names the setting."""
+    task = small_task()
+    task.learning.hidden_sizes = (16, 16)
+    with pytest.raises(UserError, match=r"learning\.hidden-sizes"):
+        train(task, options(tmp_path / "other", resume=run, max_iterations=3))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"num_envs": 0}, "--num-envs is 0"),
+        ({"max_iterations": 0}, "--max-iterations is 0"),
+        ({"engine": "bullet"}, "bullet"),
+        ({"pattern": Path("nowhere.pt")}, "no pattern network at nowhere.pt"),
+        ({"resume": Path("nowhere.pt")}, "no checkpoint at nowhere.pt"),
+    ],
+)
+def test_bad_options(tmp_path: Path, changes: dict, message: str):
+    """One sentence each, and no run folder is left."""
+    with pytest.raises(UserError, match=message):
+        train(small_task(), options(tmp_path / "never", **changes))
+    assert not (tmp_path / "never").exists()
+
+
+@pytest.mark.slow
+def test_learning_lengthens_episodes(tmp_path: Path):
+    """A few minutes of training on the CPU keep the humanoid on its feet for longer than the CPG alone."""
+    task = get_task("flat")
+    task.learning.hidden_sizes = (128, 64)
+    train(task, RunOptions(num_envs=128, device="cpu", max_iterations=60, run_dir=tmp_path / "run"))
+    log = EventAccumulator(str(tmp_path / "run")).Reload()
+    lengths = [event.value for event in log.Scalars("Train/mean_episode_length")]
+    rewards = [event.value for event in log.Scalars("Train/mean_reward")]
+    assert sum(lengths[-5:]) > 1.15 * sum(lengths[2:7])
+    assert sum(rewards[-5:]) > 1.15 * sum(rewards[2:7])

@@ -1,0 +1,57 @@
+"""Train the reflex network: python train.py --task flat. See --help for every setting."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from aicpg_newton.errors import run_command
+from aicpg_newton.learning.training import RunOptions, task_of, train
+from aicpg_newton.task import Task
+from tasks import TASKS, get_task
+
+
+@dataclass(kw_only=True)
+class Arguments:
+    """Train the reflex network of AI-CPG by PPO, on a GPU if there is one."""
+
+    task: str
+    """Task of the registry; its settings are the defaults of the options below."""
+    run: Annotated[RunOptions, tyro.conf.arg(name="")]
+    settings: Annotated[Task, tyro.conf.arg(name="")]
+
+
+def defaults(arguments: list[str]) -> Arguments:
+    """Defaults of all options: those of ``--task``, or of the checkpoint that ``--resume`` names.
+
+    Raises:
+        UserError: The task is unknown, or the checkpoint cannot be read.
+    """
+    first_look = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first_look.add_argument("--task", default=next(iter(TASKS)))
+    first_look.add_argument("--resume", type=Path)
+    given, _ = first_look.parse_known_args(arguments)
+    settings = get_task(given.task) if given.resume is None else task_of(given.resume)
+    return Arguments(task=settings.name, run=RunOptions(), settings=settings)
+
+
+def main() -> None:
+    """Read the command line and train."""
+    arguments = sys.argv[1:]
+    chosen = tyro.cli(
+        Arguments,
+        args=arguments,
+        default=defaults(arguments),
+        description=__doc__,
+        config=(tyro.conf.OmitSubcommandPrefixes,),
+    )
+    train(chosen.settings, chosen.run)
+
+
+if __name__ == "__main__":
+    run_command(main)
