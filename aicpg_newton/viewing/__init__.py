@@ -1,0 +1,12 @@
+"""Seeing the humanoid: recordings and filmstrips without a display, and live viewers.
+
+Everything here takes poses (root position, root rotation, joint angles) and knows neither engines nor environments, so
+that a simulation, a motion capture clip and a made-up movement are shown in the same way.
+"""
+
+from aicpg_newton.viewing.filmstrip import FilmstripRow, save_filmstrip
+from aicpg_newton.viewing.live import VIEWER_KINDS, LiveViewer
+from aicpg_newton.viewing.recorder import Recorder
+from aicpg_newton.viewing.stage import Stage
+
+__all__ = ["VIEWER_KINDS", "FilmstripRow", "LiveViewer", "Recorder", "Stage", "save_filmstrip"]

@@ -1,0 +1,136 @@
+"""Live viewers: Newton's viewers behind one small door."""
+
+from __future__ import annotations
+
+import time as clock
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import newton.viewer
+import torch
+import warp as wp
+
+from aicpg_newton.cpg import CONTROL_RATE
+from aicpg_newton.errors import UserError
+from aicpg_newton.viewing.output import writable_path
+from aicpg_newton.viewing.stage import Ground, Stage
+
+VIEWER_KINDS = ("viser", "gl", "rerun", "usd", "none")
+"""viser: in a browser; gl: a window; rerun: Rerun in a browser; usd: a file to open elsewhere; none: nothing."""
+
+_PACKAGES = {
+    "viser": {"viser": "viser"},
+    "gl": {"pyglet": "pyglet", "imgui_bundle": "imgui-bundle"},
+    "rerun": {"rerun": "rerun-sdk"},
+    "usd": {"pxr": "usd-core"},
+    "none": {},
+}
+"""Modules that each kind imports, and what pip calls their packages."""
+
+
+class LiveViewer:
+    """Shows poses while they are computed, one second of simulation in one second of time.
+
+    Robots of different environments stand side by side, robot 0 at the left of the direction of travel. In ``viser``,
+    ``gl`` and ``rerun`` they are on :attr:`Ground.TREADMILL`, so that they stay in the picture while the user is free
+    to turn the camera; ``usd`` keeps world positions.
+
+    Args:
+        kind: One of :data:`VIEWER_KINDS`.
+        num_robots: Number of humanoids shown.
+        path: File that ``usd`` writes, ending in ``.usd``; unused by the others.
+
+    Raises:
+        UserError: The kind is unknown, its package is not installed, there is no display or no path.
+    """
+
+    def __init__(self, kind: str, num_robots: int = 1, path: Path | str | None = None) -> None:
+        if kind not in VIEWER_KINDS:
+            raise UserError(f"there is no viewer '{kind}'; choose one of {', '.join(VIEWER_KINDS)}")
+        if num_robots < 1:
+            raise UserError(f"a viewer of {num_robots} robots is not possible; give at least 1")
+        missing = [package for module, package in _PACKAGES[kind].items() if find_spec(module) is None]
+        if missing:
+            raise UserError(f"the {kind} viewer needs packages not installed; run: pip install {' '.join(missing)}")
+        file = None
+        if kind == "usd":
+            if path is None:
+                raise UserError("the usd viewer writes a file; give its path, ending in .usd")
+            file = writable_path(path, ".usd")
+        self._paced = kind not in ("usd", "none")
+        self._viewer: Any = None
+        self._started: tuple[float, float] | None = None
+        if kind == "none":
+            return
+        self._viewer = _open(kind, file)
+        self._stage = Stage(num_robots, ground=Ground.PLANE if kind == "usd" else Ground.TREADMILL)
+        self._viewer.set_model(self._stage.model)
+        # From the front right, slightly above; the distance lets all lanes fit.
+        distance = 3.2 + 1.0 * num_robots
+        self._viewer.set_camera(wp.vec3(0.55 * distance, -0.83 * distance, 1.6), pitch=-10.0, yaw=123.0)
+
+    def show(
+        self, root_position: torch.Tensor, root_rotation: torch.Tensor, joint_position: torch.Tensor, time: float
+    ) -> None:
+        """Show one control step, and wait until its time has come.
+
+        Args:
+            root_position: Pelvis positions [m], shape [n, 3] with n >= num_robots; more are ignored.
+            root_rotation: Pelvis rotations (x, y, z, w), shape [n, 4].
+            joint_position: Joint angles [rad], shape [n, 28].
+            time: Simulated time [s].
+        """
+        if self._viewer is None:
+            return
+        self._stage.pose(root_position, root_rotation, joint_position)
+        self._viewer.begin_frame(time)
+        self._viewer.log_state(self._stage.state)
+        self._viewer.end_frame()
+        if self._paced:
+            self._wait(time)
+
+    def _wait(self, time: float) -> None:
+        now = clock.perf_counter()
+        if self._started is not None:
+            ahead = (time - self._started[0]) - (now - self._started[1])
+            if 0.0 <= ahead < 1.0:
+                clock.sleep(ahead)
+                return
+        # The first step, time set back, or a machine that does not keep up: start counting from here.
+        self._started = (time, now)
+
+    def is_running(self) -> bool:
+        """Whether somebody may still be looking: False once a window is closed."""
+        return self._viewer is None or bool(self._viewer.is_running())
+
+    def close(self) -> None:
+        """Close the viewer; ``usd`` writes its file."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+    def __enter__(self) -> LiveViewer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _open(kind: str, path: Path | None) -> Any:
+    try:
+        if kind == "viser":
+            # This machine only: a server in the cloud is reached through an SSH tunnel, not from everywhere.
+            viewer = newton.viewer.ViewerViser(host="127.0.0.1", label="AI-CPG", verbose=False)
+            print(f"viewer: open {viewer.url} in a browser")
+            return viewer
+        if kind == "gl":
+            return newton.viewer.ViewerGL(width=1280, height=720)
+        if kind == "rerun":
+            return newton.viewer.ViewerRerun(app_id="aicpg")
+        return newton.viewer.ViewerUSD(str(path), fps=round(CONTROL_RATE), num_frames=None)
+    except Exception as error:  # OpenGL and servers raise many types
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UserError(
+            f"the {kind} viewer cannot be opened here ({reason}); without a display choose viser, usd or a recording"
+        ) from error
