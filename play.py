@@ -1,0 +1,18 @@
+"""Play a trained controller: python play.py --checkpoint runs/flat/.../model_2999.pt. See --help for every option."""
+
+from __future__ import annotations
+
+import tyro
+
+from aicpg_newton.errors import run_command
+from aicpg_newton.evaluation.playing import PlayOptions, play
+from tasks import get_task
+
+
+def main() -> None:
+    """Read the command line and play."""
+    play(tyro.cli(PlayOptions, description=__doc__), get_task("flat"))
+
+
+if __name__ == "__main__":
+    run_command(main)
