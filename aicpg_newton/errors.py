@@ -10,7 +10,7 @@ class UserError(Exception):
     """Bad input: the message is one sentence that says what is wrong and what to do."""
 
 
-def run_command(command: Callable[[], None]) -> None:
+def run_command(command: Callable[[], object]) -> None:
     """Run a command line; a :class:`UserError` becomes one line on stderr and exit status 2, without a traceback."""
     try:
         command()

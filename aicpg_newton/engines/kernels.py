@@ -43,7 +43,16 @@ def add_foot_wrenches(
 
 
 @wp.kernel
-def note_overflow(step_overflow: wp.array[wp.int32], overflow: wp.array[wp.int32]):
-    """Collect each world's overflow bits over the steps."""
+def note_buffers(
+    step_overflow: wp.array[wp.int32],
+    constraint_count: wp.array[wp.int32],
+    contact_count: wp.array[wp.int32],
+    overflow: wp.array[wp.int32],
+    most: wp.array[wp.int32],
+):
+    """Collect each world's overflow bits, and the most constraints of a world and contacts of all worlds."""
     world = wp.tid()
     overflow[world] = overflow[world] | step_overflow[world]
+    wp.atomic_max(most, 0, constraint_count[world])
+    if world == 0:
+        wp.atomic_max(most, 1, contact_count[0])

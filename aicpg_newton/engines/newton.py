@@ -80,6 +80,7 @@ class NewtonEngine:
         self._foot_body = wp.array(foot_body.numpy(), dtype=wp.int32, device=self._wp_device)
         self._foot_wrench_array: Any = wp.zeros(self.num_envs * 2, dtype=wp.spatial_vectorf, device=self._wp_device)
         self._overflow_array = wp.zeros(self.num_envs, dtype=wp.int32, device=self._wp_device)
+        self._most = wp.zeros(2, dtype=wp.int32, device=self._wp_device)
         self._reset_worlds = wp.zeros(self.num_envs + 1, dtype=wp.bool, device=self._wp_device)
         self._reset_robots = wp.zeros(self.num_envs, dtype=wp.bool, device=self._wp_device)
 
@@ -135,10 +136,10 @@ class NewtonEngine:
                 device=self._wp_device,
             )
             wp.launch(
-                kernels.note_overflow,
+                kernels.note_buffers,
                 dim=self.num_envs,
-                inputs=[self._observables.overflow],
-                outputs=[self._overflow_array],
+                inputs=[self._observables.overflow, self.solver.mjw_data.nefc, self.solver.mjw_data.nacon],
+                outputs=[self._overflow_array, self._most],
                 device=self._wp_device,
             )
             state_in, state_out = state_out, state_in
@@ -212,6 +213,11 @@ class NewtonEngine:
             foot_force=self._foot_wrench[..., :3].clone(),
             foot_moment=self._foot_wrench[..., 3:].clone(),
         )
+
+    def high_water(self) -> dict[str, float]:
+        """Fullest buffers so far: constraints of any one environment, and contacts per environment over all of them."""
+        constraints, contacts = self._most.numpy().tolist()
+        return {"constraints": constraints, "contacts": contacts / self.num_envs}
 
     def overflows(self) -> int:
         """See :meth:`Engine.overflows`."""
