@@ -58,6 +58,13 @@ def advance_phase(phase: torch.Tensor, frequency: torch.Tensor) -> torch.Tensor:
     return torch.remainder(phase + (2 * math.pi * CONTROL_DT) * frequency, 2 * math.pi)
 
 
+def fourier_basis(phase: torch.Tensor, harmonics: int) -> torch.Tensor:
+    """The waves 1, cos p, sin p, cos 2p, sin 2p, ... of a stride, shape [...] to [..., 2 harmonics + 1]."""
+    orders = torch.arange(1, harmonics + 1, dtype=phase.dtype, device=phase.device) * phase.unsqueeze(-1)
+    waves = torch.stack((torch.cos(orders), torch.sin(orders)), dim=-1).flatten(-2)
+    return torch.cat((torch.ones_like(phase).unsqueeze(-1), waves), dim=-1)
+
+
 def pd_torque(
     target: torch.Tensor,
     target_velocity: torch.Tensor,
@@ -159,9 +166,7 @@ class PatternNetwork(nn.Module):
         inside = frequency.clamp(min(frequencies), max(frequencies))
         series = torch.tensor([gait.root_harmonics for gait in self.gaits])
         coefficients = self._between_gaits(inside, series)
-        orders = torch.arange(1, (series.shape[1] - 1) // 2 + 1, device=phase.device) * phase.unsqueeze(-1)
-        waves = torch.stack((torch.cos(orders), torch.sin(orders)), dim=-1).flatten(-2)
-        basis = torch.cat((torch.ones_like(phase).unsqueeze(-1), waves), dim=-1)
+        basis = fourier_basis(phase, (series.shape[1] - 1) // 2)
         return (basis.unsqueeze(-1) * coefficients).sum(dim=-2)
 
     def _between_gaits(self, frequency: torch.Tensor, values: torch.Tensor) -> torch.Tensor:

@@ -16,8 +16,6 @@ from aicpg_newton.engines.model import ROOT_COORDINATES, ROOT_DOFS, build, make_
 from aicpg_newton.humanoid import FOOT_NAMES, LINK_NAMES, MJCF_PATH, Motors
 from aicpg_newton.kinematics import HEAD_CENTRE
 
-_PELVIS, _TORSO, _HEAD = (LINK_NAMES.index(name) for name in ("pelvis", "torso", "head"))
-
 
 class NewtonEngine:
     """:class:`~aicpg_newton.engines.interface.Engine` on Newton's SolverMuJoCo (MuJoCo-Warp), CUDA or CPU.
@@ -68,7 +66,7 @@ class NewtonEngine:
         hinges = torch.tensor(joints, device=self.device)
         self._coordinates = ROOT_COORDINATES + hinges
         self._dofs = ROOT_DOFS + hinges
-        self._links = torch.tensor(links, device=self.device)
+        self._pelvis, self._torso, self._head = (links[LINK_NAMES.index(name)] for name in ("pelvis", "torso", "head"))
         bodies, shapes = self.model.body_count // self.num_envs, (self.model.shape_count - 1) // self.num_envs
         worlds = torch.arange(self.num_envs).unsqueeze(1)
         feet = torch.tensor([links[LINK_NAMES.index(name)] for name in FOOT_NAMES])
@@ -100,7 +98,7 @@ class NewtonEngine:
         self._world_mask = wp.to_torch(self._reset_worlds)
         self._robot_mask = wp.to_torch(self._reset_robots)
         com = wp.to_torch(self.model.body_com).view(n, -1, 3)
-        self._pelvis_com = com[:, self._links[_PELVIS]].clone()
+        self._pelvis_com = com[:, self._pelvis].clone()
         self._head_centre = torch.tensor(HEAD_CENTRE, device=self.device).expand(n, 3)
         self._position_gain = wp.to_torch(self.model.joint_target_ke).view(n, -1)[:, self._dofs].clone()
 
@@ -158,7 +156,7 @@ class NewtonEngine:
         for body_f in self._body_f:
             body_f.zero_()
             if push is not None:
-                body_f[:, self._links[_TORSO], :3] = push
+                body_f[:, self._torso, :3] = push
         if self._graph is not None:
             wp.capture_launch(self._graph)
         else:
@@ -200,7 +198,7 @@ class NewtonEngine:
         rotation = self._joint_q[:, 3:ROOT_COORDINATES].clone()
         angular_velocity = self._joint_qd[:, 3:ROOT_DOFS].clone()
         com = rotations.rotate(rotation, self._pelvis_com)
-        head = self._body_q[:, self._links[_HEAD]]
+        head = self._body_q[:, self._head]
         return RobotState(
             root_position=self._joint_q[:, :3].clone(),
             root_rotation=rotation,

@@ -11,7 +11,7 @@ import math
 import torch
 
 from aicpg_newton import rotations
-from aicpg_newton.cpg import Gait, GaitCycle
+from aicpg_newton.cpg import Gait, GaitCycle, fourier_basis
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import joint_index, mirror_joints
 from aicpg_newton.kinematics import sole_heights
@@ -52,22 +52,15 @@ def remove_glitches(values: torch.Tensor) -> torch.Tensor:
     return torch.where((values - median).abs() > _GLITCH, median, values)
 
 
-def _basis(angle: torch.Tensor, harmonics: int) -> torch.Tensor:
-    """Columns 1, cos a, sin a, cos 2a, sin 2a, ..., shape [samples] to [samples, 2 harmonics + 1]."""
-    orders = torch.arange(1, harmonics + 1, dtype=angle.dtype) * angle.unsqueeze(-1)
-    waves = torch.stack((torch.cos(orders), torch.sin(orders)), dim=-1).flatten(-2)
-    return torch.cat((torch.ones_like(angle).unsqueeze(-1), waves), dim=-1)
-
-
 def fourier_series(values: torch.Tensor, harmonics: int) -> torch.Tensor:
     """Coefficients of 1, cos p, sin p, ... of a cycle, shape [samples, channels] to [2 harmonics + 1, channels]."""
-    basis = _basis(torch.arange(len(values), dtype=values.dtype) * (2 * math.pi / len(values)), harmonics)
+    basis = fourier_basis(torch.arange(len(values), dtype=values.dtype) * (2 * math.pi / len(values)), harmonics)
     return torch.linalg.lstsq(basis, values).solution
 
 
 def evaluate_series(coefficients: torch.Tensor, phase: torch.Tensor) -> torch.Tensor:
     """A Fourier series at phases [rad], shapes [2 harmonics + 1, channels] and [samples] to [samples, channels]."""
-    return _basis(phase, (len(coefficients) - 1) // 2) @ coefficients
+    return fourier_basis(phase, (len(coefficients) - 1) // 2) @ coefficients
 
 
 def _seed_frequency(angles: torch.Tensor) -> float:
@@ -87,7 +80,7 @@ def _seed_frequency(angles: torch.Tensor) -> float:
 def _gait_basis(frames: int, frequency: float, harmonics: int) -> torch.Tensor:
     """Harmonics of a stride frequency [Hz] and, in the last column, time [s]; shape [frames, 2 harmonics + 2]."""
     time = frame_times(frames)
-    return torch.cat((_basis(2 * math.pi * frequency * time, harmonics), time.unsqueeze(-1)), dim=-1)
+    return torch.cat((fourier_basis(2 * math.pi * frequency * time, harmonics), time.unsqueeze(-1)), dim=-1)
 
 
 def _steady_velocity(path: torch.Tensor, frequency: float) -> torch.Tensor:
@@ -227,9 +220,7 @@ def cycle_sole_heights(root: torch.Tensor, angles: torch.Tensor) -> torch.Tensor
 
 def root_rotation(root: torch.Tensor) -> torch.Tensor:
     """Pelvis rotation (x, y, z, w) of rows x, y, z, roll, pitch, yaw, shape [..., 6] to [..., 4]."""
-    axes = torch.eye(3, dtype=root.dtype)
-    roll, pitch, yaw = (rotations.about_axis(axes[i].expand_as(root[..., :3]), root[..., 3 + i]) for i in range(3))
-    return rotations.multiply(yaw, rotations.multiply(pitch, roll))
+    return rotations.from_roll_pitch_yaw(*root[..., 3:].unbind(dim=-1))
 
 
 def _floor_offset(series: torch.Tensor, angles: torch.Tensor, phase: torch.Tensor) -> float:

@@ -1,0 +1,58 @@
+"""The captured graph on a GPU does what plain launches on the CPU do."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from aicpg_newton import humanoid
+from aicpg_newton.cpg import PatternNetwork
+from aicpg_newton.engines import Physics, make_engine
+from aicpg_newton.environment import Environment
+from aicpg_newton.learning.training import RunOptions, train
+from tasks import get_task
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+
+
+RESET = {
+    "root_position",
+    "root_rotation",
+    "root_linear_velocity",
+    "root_angular_velocity",
+    "joint_position",
+    "joint_velocity",
+}
+"""What an engine's reset takes."""
+
+
+def test_walking_on_a_gpu_is_walking_on_the_cpu(pattern: PatternNetwork):
+    """From the same start, eight steps of CPG, reflex and push end in the same state."""
+    ends = []
+    actions = 0.3 * torch.randn(8, 16, 28, generator=torch.Generator().manual_seed(0))
+    still = make_engine("mujoco", 16, "cpu", humanoid.motors(), Physics())
+    start = Environment(get_task("flat"), still, pattern, humanoid.motors())
+    initial = {name: value for name, value in vars(still.state).items() if name in RESET}
+    for device in ("cpu", "cuda:0"):
+        motors = humanoid.motors().to(device)
+        engine = make_engine("newton", 16, device, motors, Physics())
+        engine.reset(
+            torch.ones(16, dtype=torch.bool, device=device),
+            **{name: value.to(device) for name, value in initial.items()},
+        )
+        for action in actions:
+            target, rate = (value.to(device) for value in pattern.to("cpu").target(start.phase, start.frequency))
+            push = torch.tensor([100.0, 50.0, 0.0], device=device).repeat(16, 1)
+            engine.step(target, rate, 10.0 * action.to(device), push=push)
+        assert engine.overflows() == 0
+        ends.append({name: value.cpu() for name, value in vars(engine.state).items()})
+    for name, value in ends[0].items():
+        scale = max(1.0, value.abs().max().item())
+        median = (ends[1][name] - value).abs().flatten(1).amax(dim=1).median()
+        assert median < 2e-3 * scale, name
+
+
+def test_training_on_a_gpu(tmp_path: Path):
+    """A short run ends with a checkpoint."""
+    last = train(get_task("flat"), RunOptions(num_envs=64, device="cuda:0", max_iterations=2, run_dir=tmp_path / "run"))
+    assert last.is_file()
