@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 from collections import deque
 from collections.abc import Iterator
@@ -137,7 +139,8 @@ def load_policy(environment: Environment, trained: dict) -> Agent:
         environment: The environment it will control, with the checkpoint's task.
         trained: What :func:`checkpoint.read` returned.
     """
-    runner = Runner(environment, trained["run"])
+    with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints the layers of every network it makes
+        runner = Runner(environment, trained["run"])
     runner.restore(trained, play_only=True)
     policy = runner.policy()
     return lambda observed: policy({"policy": observed})
