@@ -50,9 +50,7 @@ def write(
         "samples": samples,
         "algorithm": algorithm,
     }
-    temporary = path.with_suffix(".partial")
-    torch.save(content, temporary)
-    os.replace(temporary, path)
+    save(content, path)
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -79,6 +77,35 @@ def read(path: Path) -> dict[str, Any]:
             " check out the revision that trained it or train again"
         )
     return content
+
+
+def without_optimiser(content: dict[str, Any]) -> dict[str, Any]:
+    """A checkpoint's content at a third of its size: it can be played and judged, not resumed.
+
+    Args:
+        content: What :func:`read` returned.
+    """
+    algorithm = {name: state for name, state in content["algorithm"].items() if name != "optimizer_state_dict"}
+    return {**content, "algorithm": algorithm}
+
+
+def save(content: dict[str, Any], path: Path) -> None:
+    """Write a checkpoint's content; the file appears whole or not at all."""
+    temporary = path.with_suffix(".partial")
+    torch.save(content, temporary)
+    os.replace(temporary, path)
+
+
+def shipped(task: str) -> Path:
+    """The trained checkpoint that comes with this repository for a task.
+
+    Raises:
+        UserError: There is none.
+    """
+    path = humanoid.ASSETS / "policies" / f"{task}.pt"
+    if not path.is_file():
+        raise UserError(f"no trained policy ships for task {task!r}; train one and give --checkpoint")
+    return path
 
 
 def latest(folder: Path) -> Path:

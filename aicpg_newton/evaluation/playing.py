@@ -33,7 +33,7 @@ class PlayOptions:
     """What to play and where to see it."""
 
     checkpoint: Path | None = None
-    """Trained reflex network: a model_*.pt or a run folder."""
+    """Trained reflex network: a model_*.pt or a run folder; the one that ships for flat ground when not given."""
     frequency: tuple[float, ...] = (0.9, 1.1, 1.3)
     """Stride frequencies f [Hz]; the environments are shared out evenly among them."""
     num_envs: int = 12
@@ -68,12 +68,15 @@ def play(options: PlayOptions, default_task: Task) -> Tally:
     """
     steps = _check(options)
     device = resolve_device(options.device)
-    trained = None if options.checkpoint is None else checkpoint.read(options.checkpoint)
+    path = options.checkpoint
+    if path is None and options.agent == "policy":
+        path = checkpoint.shipped(default_task.name)
+    trained = None if path is None else checkpoint.read(path)
     if trained is None:
         task, pattern = default_task, PatternNetwork.load(DEFAULT_PATTERN)
     else:
-        task = task_from_dict(trained["task"], str(options.checkpoint))
-        pattern = PatternNetwork.from_content(trained["pattern"], str(options.checkpoint))
+        task = task_from_dict(trained["task"], str(path))
+        pattern = PatternNetwork.from_content(trained["pattern"], str(path))
     shares = torch.arange(options.num_envs, device=device) * len(options.frequency) // options.num_envs
     frequency = torch.tensor(options.frequency, device=device)[shares]
     tally = Tally(frequency)
@@ -112,8 +115,6 @@ def _check(options: PlayOptions) -> int:
         raise UserError(f"--frequency is {options.frequency}; give positive numbers in Hz")
     if not (math.isfinite(options.duration) and options.duration >= CONTROL_DT):
         raise UserError(f"--duration is {options.duration}; give a positive number of seconds")
-    if options.agent == "policy" and options.checkpoint is None:
-        raise UserError("the policy agent needs --checkpoint FILE; or try --agent zero or --agent mocap")
     if options.filmstrip is not None:
         writable_path(options.filmstrip, ".png")
     return round(options.duration * CONTROL_RATE)

@@ -83,7 +83,6 @@ def test_a_checkpoint_plays_with_its_own_task(tmp_path: Path, capsys: pytest.Cap
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({}, "needs --checkpoint"),
         ({"checkpoint": Path("nowhere.pt")}, "no checkpoint at nowhere.pt"),
         ({"agent": "zero", "frequency": (0.0,)}, "--frequency"),
         ({"agent": "zero", "frequency": (float("nan"),)}, "--frequency"),

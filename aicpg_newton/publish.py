@@ -1,0 +1,47 @@
+"""Put a trained checkpoint into assets/policies, where play.py and evaluate find it: python -m aicpg_newton.publish."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+import yaml
+
+from aicpg_newton import checkpoint
+from aicpg_newton.errors import UserError, run_command
+from aicpg_newton.humanoid import ASSETS
+
+
+@dataclass(kw_only=True)
+class PublishOptions:
+    """Ship a checkpoint without its optimiser, and its run's configuration beside it."""
+
+    checkpoint: Path
+    """model_*.pt in a run folder, or the run folder for its latest."""
+    out: Path = ASSETS / "policies"
+    """Folder to write <task>.pt and <task>.yaml into."""
+
+
+def publish(options: PublishOptions) -> Path:
+    """Write the shipped checkpoint and its configuration.
+
+    Raises:
+        UserError: The checkpoint cannot be read, or its run's config.yaml is missing.
+    """
+    content = checkpoint.read(options.checkpoint)
+    folder = options.checkpoint if options.checkpoint.is_dir() else options.checkpoint.parent
+    if not (folder / "config.yaml").is_file():
+        raise UserError(f"no config.yaml in {folder}; give a checkpoint in its run folder")
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    config["trained"] = {"iterations": content["iteration"], "samples": content["samples"]}
+    options.out.mkdir(parents=True, exist_ok=True)
+    target = options.out / f"{content['task']['name']}.pt"
+    checkpoint.save(checkpoint.without_optimiser(content), target)
+    target.with_suffix(".yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+    print(f"wrote {target} and {target.with_suffix('.yaml')}")
+    return target
+
+
+if __name__ == "__main__":
+    run_command(lambda: publish(tyro.cli(PublishOptions, description=__doc__)))
