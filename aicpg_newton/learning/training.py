@@ -86,11 +86,13 @@ def train(task: Task, options: RunOptions) -> Path:
         raise UserError(f"{samples} samples do not fill learning.minibatches = {task.learning.minibatches}; lower it")
     folder = _run_folder(task, options)
 
-    torch.manual_seed(options.seed)
+    done = 0 if previous is None else previous["iteration"]
+    seed = options.seed + done  # a resumed run does not draw the same numbers again
+    torch.manual_seed(seed)
     print("Building the simulation; the first time on a machine, compiling its kernels can take two minutes.")
     motors = humanoid.motors()
     engine = make_engine(options.engine, num_envs, device, motors, task.physics)
-    environment = Environment(task, engine, pattern, motors, seed=options.seed)
+    environment = Environment(task, engine, pattern, motors, seed=seed)
     print(f"Task {task.name}: {num_envs} environments, engine {engine.name}, device {device}. Run folder: {folder}")
     run = {
         "num_envs": num_envs,
@@ -102,16 +104,16 @@ def train(task: Task, options: RunOptions) -> Path:
         "versions": {name: metadata.version(name) for name in ("newton", "warp-lang", "mujoco", "torch", "rsl-rl-lib")},
     }
     folder.mkdir(parents=True, exist_ok=True)
-    _write_config(folder / CONFIG_NAME, task, run)
+    name = CONFIG_NAME if not (folder / CONFIG_NAME).exists() else f"config_from_iteration_{done}.yaml"
+    _write_config(folder / name, task, run)
     runner = Runner(environment, run, folder)
     if previous is not None:
         runner.restore(previous)
-        print(f"Resumed {options.resume} after {previous['iteration']} iterations.")
-    start = runner.current_learning_iteration
+        print(f"Resumed {options.resume} after {done} iterations.")
     try:
-        runner.learn(options.max_iterations - start, init_at_random_ep_len=True)
+        runner.learn(options.max_iterations - done, init_at_random_ep_len=True)
     except KeyboardInterrupt:
-        if runner.current_learning_iteration > start:
+        if runner.current_learning_iteration > done:
             runner.save(str(folder / f"model_{runner.current_learning_iteration}.pt"))
             print(f"\nStopped; continue with:  python train.py --resume {folder}")
         raise
@@ -144,7 +146,11 @@ def git_revision() -> str:
 def _run_folder(task: Task, options: RunOptions) -> Path:
     """Where the run goes; a folder that holds another run is never written into."""
     if options.run_dir is None and options.resume is not None:
-        return options.resume if options.resume.is_dir() else options.resume.parent
+        folder = options.resume if options.resume.is_dir() else options.resume.parent
+        last = checkpoint.latest(folder)
+        if options.resume.is_file() and last.name != options.resume.name:
+            raise UserError(f"{folder} holds later checkpoints up to {last.name}; resume that one, or give --run-dir")
+        return folder
     if options.run_dir is None:
         return Path("runs") / task.name / datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     if options.run_dir.exists() and (not options.run_dir.is_dir() or any(options.run_dir.iterdir())):

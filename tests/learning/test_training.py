@@ -1,5 +1,6 @@
 """A run from settings to checkpoints, with physics, and its exact continuation."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -96,6 +97,23 @@ def test_resume_goes_on_counting(run: Path, tmp_path: Path):
     assert content["samples"] == 3 * 4 * 8
 
 
+def test_resume_in_the_same_folder_keeps_what_is_there(run: Path, tmp_path: Path):
+    """The first configuration stays, a second one tells what changed, and later checkpoints are never overwritten."""
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder)
+    first = (folder / "config.yaml").read_text()
+    with pytest.raises(UserError, match=r"later checkpoints up to model_1\.pt"):
+        train(small_task(), options(folder, resume=folder / "model_0.pt", run_dir=None))
+    task = small_task()
+    task.learning.discount = 0.95
+    train(task, options(folder, resume=folder / "model_1.pt", run_dir=None, num_envs=None, max_iterations=3))
+    assert (folder / "config.yaml").read_text() == first
+    second = yaml.safe_load((folder / "config_from_iteration_2.yaml").read_text())
+    assert second["task"]["learning"]["discount"] == 0.95
+    assert second["run"]["num_envs"] == 4
+    assert {path.name for path in folder.glob("model_*.pt")} == {"model_0.pt", "model_1.pt", "model_2.pt"}
+
+
 def test_nothing_left_to_do(run: Path):
     """Resuming a finished run is refused with the number to raise."""
     with pytest.raises(UserError, match="2 iterations already"):
@@ -140,7 +158,7 @@ def test_learning_lengthens_episodes(tmp_path: Path):
     """A few minutes of training on the CPU keep the humanoid on its feet for longer than the CPG alone."""
     task = get_task("flat")
     task.learning.hidden_sizes = (128, 64)
-    train(task, RunOptions(num_envs=128, device="cpu", max_iterations=60, run_dir=tmp_path / "run"))
+    train(task, RunOptions(num_envs=256, device="cpu", max_iterations=90, run_dir=tmp_path / "run"))
     log = EventAccumulator(str(tmp_path / "run")).Reload()
     lengths = [event.value for event in log.Scalars("Train/mean_episode_length")]
     rewards = [event.value for event in log.Scalars("Train/mean_reward")]
