@@ -9,14 +9,12 @@ from typing import Any
 
 import newton
 import torch
-import warp as wp
 from newton.solvers import SolverMuJoCo
 
+import aicpg_newton.warp_log  # noqa: F401
 from aicpg_newton.engines.interface import Physics
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import FOOT_NAMES, GRAVITY, JOINT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors
-
-wp.config.log_level = wp.LOG_WARNING  # no banner, no line per kernel module
 
 ROOT_COORDINATES = 7
 """Position and quaternion of the free joint come first in Newton's joint coordinates."""

@@ -8,6 +8,7 @@ import newton
 import torch
 import warp as wp
 
+import aicpg_newton.warp_log  # noqa: F401
 from aicpg_newton.humanoid import LINK_NAMES, MJCF_PATH, NUM_JOINTS
 from aicpg_newton.kinematics import forward_kinematics, sole_heights
 
