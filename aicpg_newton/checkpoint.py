@@ -108,8 +108,8 @@ def shipped(task: str) -> Path:
     return path
 
 
-def latest(folder: Path) -> Path:
-    """The checkpoint of a run folder with the highest iteration.
+def all_of(folder: Path) -> list[Path]:
+    """The checkpoints of a run folder, oldest first.
 
     Raises:
         UserError: The folder holds none.
@@ -117,4 +117,13 @@ def latest(folder: Path) -> Path:
     found = {int(match[1]): path for path in folder.glob("model_*.pt") if (match := _NAME.fullmatch(path.name))}
     if not found:
         raise UserError(f"no model_*.pt in {folder}; give a run folder that holds a checkpoint")
-    return found[max(found)]
+    return [found[iteration] for iteration in sorted(found)]
+
+
+def latest(folder: Path) -> Path:
+    """The checkpoint of a run folder with the highest iteration.
+
+    Raises:
+        UserError: The folder holds none.
+    """
+    return all_of(folder)[-1]

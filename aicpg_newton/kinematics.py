@@ -31,6 +31,10 @@ class Skeleton:
     """Lower and upper joint limits [rad], shape [28, 2]."""
     sole_corners: torch.Tensor
     """The four lower corners of each foot's box in the foot frame [m], shape [2, 4, 3]."""
+    masses: torch.Tensor
+    """Mass of each link [kg], shape [13]."""
+    mass_centres: torch.Tensor
+    """Centre of mass of each link in the link frame [m], shape [13, 3]."""
 
 
 @cache
@@ -68,6 +72,15 @@ def skeleton() -> Skeleton:
         assert box is not None and box.attrib["type"] == "box"
         (x, y, z), (sx, sy, sz) = numbers(box.attrib["pos"]), numbers(box.attrib["size"])
         corners.append([[x + i * sx, y + j * sy, z - sz] for i in (-1, 1) for j in (-1, 1)])
+
+    def middle(geom: ElementTree.Element) -> torch.Tensor:
+        """Spheres and boxes give their centre, capsules their two ends."""
+        ends = numbers(geom.attrib.get("fromto") or geom.attrib["pos"])
+        return torch.tensor(ends).reshape(-1, 3).mean(dim=0)
+
+    geoms = [body.findall("geom") for body, _ in bodies.values()]
+    weights = [torch.tensor([float(geom.attrib["mass"]) for geom in each]) for each in geoms]
+    centres = [torch.stack([middle(geom) for geom in each]) for each in geoms]
     return Skeleton(
         parents=tuple(parent for _, parent in bodies.values()),
         offsets=torch.tensor(offsets),
@@ -78,6 +91,8 @@ def skeleton() -> Skeleton:
         axes=torch.tensor([numbers(hinges[name].attrib["axis"]) for name in JOINT_NAMES]),
         ranges=torch.deg2rad(torch.tensor([numbers(hinges[name].attrib["range"]) for name in JOINT_NAMES])),
         sole_corners=torch.tensor(corners),
+        masses=torch.stack([each.sum() for each in weights]),
+        mass_centres=torch.stack([each @ where / each.sum() for each, where in zip(weights, centres, strict=True)]),
     )
 
 
@@ -126,3 +141,13 @@ def sole_heights(
     rotation = orientations.unsqueeze(-2).expand(*corners.shape[:-1], 4)
     world = positions.unsqueeze(-2) + rotations.rotate(rotation, corners)
     return world[..., 2].amin(dim=-1)
+
+
+def centre_of_mass(
+    root_position: torch.Tensor, root_rotation: torch.Tensor, joint_position: torch.Tensor
+) -> torch.Tensor:
+    """World position of the whole body's centre of mass [m], shape [..., 3]; arguments as above."""
+    tree = skeleton()
+    positions, orientations = forward_kinematics(root_position, root_rotation, joint_position)
+    offsets, share = tree.mass_centres.to(joint_position), (tree.masses / tree.masses.sum()).to(joint_position)
+    return ((positions + rotations.rotate(orientations, offsets.expand_as(positions))) * share.unsqueeze(1)).sum(-2)

@@ -95,7 +95,9 @@ def play(options: PlayOptions, default_task: Task) -> Tally:
         missing = [label for label, row in rows.items() if row is None]
         complete = [row for row in rows.values() if row is not None]
         if missing:
-            print(f"No whole stride without a fall within --duration at {', '.join(missing)}: left out of the filmstrip.")
+            print(
+                f"No whole stride without a fall within --duration at {', '.join(missing)}: left out of the filmstrip."
+            )
         if complete:
             save_filmstrip(options.filmstrip, complete)
             print(f"Filmstrip: {options.filmstrip}")

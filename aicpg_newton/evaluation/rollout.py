@@ -72,7 +72,7 @@ class Tally:
         return "\n".join(lines)
 
 
-@torch.inference_mode()
+@torch.no_grad()  # not inference_mode: engines keep tensors that a later roll-out changes
 def physical_frames(environment: Environment, agent: Agent, steps: int, tally: Tally) -> Iterator[Frame]:
     """Let the agent control the environment; yields the frame after every control step, before resets.
 

@@ -91,11 +91,33 @@ def _draw_stick_figures(axes: Axes, cycle: GaitCycle) -> None:
     phase = pick * (2 * math.pi / len(cycle.angles))
     root = evaluate_series(torch.tensor(cycle.gait.root_harmonics), phase)
     root[:, 0] += _SPACING * torch.arange(_POSES)
-    positions, orientations = forward_kinematics(root[:, :3], root_rotation(root), cycle.angles[pick])
+    draw_stick_figures(axes, root[:, :3], root_rotation(root), cycle.angles[pick])
+    gait = cycle.gait
+    axes.set(
+        title=f"{gait.name}: {gait.source} on the humanoid, {gait.frequency:.3f} Hz, {gait.speed:.2f} m/s;"
+        " eight phases of a stride, right side dark",
+        ylabel="height [m]",
+        xticks=[],
+        ylim=(-0.08, 1.75),
+    )
+
+
+def draw_stick_figures(
+    axes: Axes, root_position: torch.Tensor, rotation: torch.Tensor, joint_position: torch.Tensor
+) -> None:
+    """Poses seen from the right, on a line for the floor; right limbs dark, left limbs light.
+
+    Args:
+        axes: Where to draw, in metres.
+        root_position: World position of the pelvis [m], shape [poses, 3].
+        rotation: Pelvis rotation (x, y, z, w), shape [poses, 4].
+        joint_position: Joint angles [rad], shape [poses, 28].
+    """
+    positions, orientations = forward_kinematics(root_position, rotation, joint_position)
 
     def point(link: str, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> torch.Tensor:
         index = LINK_NAMES.index(link)
-        local = torch.tensor(offset).expand(_POSES, 3)
+        local = torch.tensor(offset).expand(len(positions), 3)
         return positions[:, index] + rotations.rotate(orientations[:, index], local)
 
     def line(colour: str, width: float, *points: torch.Tensor) -> None:
@@ -117,12 +139,4 @@ def _draw_stick_figures(axes: Axes, cycle: GaitCycle) -> None:
     head = point("head", HEAD_CENTRE)
     axes.plot(head[:, 0], head[:, 2], "o", color=_TRUNK, markersize=10)
     axes.axhline(0.0, color="k", linewidth=0.8)
-    gait = cycle.gait
-    axes.set(
-        title=f"{gait.name}: {gait.source} on the humanoid, {gait.frequency:.3f} Hz, {gait.speed:.2f} m/s;"
-        " eight phases of a stride, right side dark",
-        ylabel="height [m]",
-        xticks=[],
-        ylim=(-0.08, 1.75),
-    )
     axes.set_aspect("equal")

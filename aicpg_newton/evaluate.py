@@ -1,0 +1,76 @@
+"""Evaluate checkpoints with the paper's protocols: python -m aicpg_newton.evaluate --protocol all --out results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from aicpg_newton import checkpoint
+from aicpg_newton.errors import UserError, run_command
+from aicpg_newton.evaluation import figures, records
+from aicpg_newton.evaluation.protocols import PROTOCOLS
+from aicpg_newton.evaluation.run import Controller, Laboratory, cpg_alone, evaluate, trained
+from tasks import get_task
+
+
+@dataclass(kw_only=True)
+class EvaluateOptions:
+    """What to test, how, and where results go."""
+
+    out: Path
+    """Folder for CSV, JSON and PNG files. Results in it are never overwritten; figures are drawn anew."""
+    checkpoint: tuple[Path, ...] = ()
+    """model_*.pt files or run folders, one for each seed and method; the task's shipped checkpoint if none is given."""
+    agent: Literal["policy", "zero"] = "policy"
+    """policy: the trained network; zero: the CPG alone."""
+    task: str | None = None
+    """Task to test on; by default the one a checkpoint was trained on, and flat without a checkpoint."""
+    engine: str = "auto"
+    """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
+    device: str = "auto"
+    """auto, cpu or cuda:N."""
+    num_envs: int = 64
+    """Number of environments, shared out evenly among the frequencies."""
+    protocol: Literal["sweep", "disturbance", "transition", "command", "all"] = "all"
+    """What to do; command runs the sweep first where the folder holds none."""
+    seed: int = 0
+    """Seed of start states and pushes."""
+    redraw: tuple[Path, ...] = ()
+    """Only draw figures, into --out, from the CSV files of these folders together."""
+
+
+def main(options: EvaluateOptions) -> None:
+    """Evaluate and draw.
+
+    Raises:
+        UserError: An option cannot be met.
+    """
+    if options.redraw:
+        folders = list(options.redraw)
+        records.make_folder(options.out)
+    else:
+        folders = [options.out]
+        protocols = [each for name, each in PROTOCOLS.items() if options.protocol in (name, "all")]
+        laboratory = Laboratory(options.num_envs, options.engine, options.device, options.seed, show=True)
+        evaluate(protocols, _controllers(options), laboratory, options.out)
+    for path in figures.draw_all(folders, options.out):
+        print(f"Figure: {path}")
+
+
+def _controllers(options: EvaluateOptions) -> list[Controller]:
+    """The controllers that the options name."""
+    if options.agent == "zero":
+        if options.checkpoint:
+            raise UserError("--agent zero is the CPG alone; leave --checkpoint out")
+        return [cpg_alone(get_task(options.task or "flat"), options.seed)]
+    task = None if options.task is None else get_task(options.task)
+    if options.checkpoint:
+        return [trained(path, task) for path in options.checkpoint]
+    return [trained(checkpoint.shipped(get_task(options.task or "flat").name))]
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(EvaluateOptions, description=__doc__)))

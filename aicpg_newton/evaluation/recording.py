@@ -1,0 +1,148 @@
+"""What is kept of a roll-out to take measures from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+from aicpg_newton import metrics
+from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE
+from aicpg_newton.environment import Environment
+from aicpg_newton.evaluation.protocols import Protocol
+from aicpg_newton.evaluation.rollout import Agent, Tally, physical_frames
+from aicpg_newton.humanoid import NUM_JOINTS
+from aicpg_newton.kinematics import centre_of_mass
+
+WARM_UP = round(1.0 * CONTROL_RATE)
+"""Steps after every start that no measure counts: the first second, in which the start state dies away."""
+
+SHORTEST = round(1.0 * CONTROL_RATE)
+"""Fewest counted steps that an environment's measures are taken from: a second, about one stride."""
+
+_CHUNK = 128  # steps of forward kinematics at a time, to bound memory
+
+
+@dataclass
+class Recording:
+    """Trajectories of a protocol, each tensor of shape [time, num_envs, ...]; states before any reset.
+
+    A fall and leaving the course (facing more than the task's angle away from the target) both end an episode and both
+    count as falls, as in play.py's table.
+    """
+
+    condition: torch.Tensor
+    """Index of each environment's condition, shape [num_envs]."""
+    frequency: torch.Tensor
+    """Stride frequency f [Hz]."""
+    root_position: torch.Tensor
+    """World position of the pelvis [m], [..., 3]."""
+    root_rotation: torch.Tensor
+    """Pelvis rotation (x, y, z, w), [..., 4]."""
+    joint_position: torch.Tensor
+    """Joint angles [rad], [..., 28]."""
+    power: torch.Tensor
+    """Mechanical power of all joints [W]."""
+    contact: torch.Tensor
+    """Whether each foot is on the ground (right, left), bool, [..., 2]."""
+    fallen: torch.Tensor
+    """Whether the episode ended in this step, bool."""
+    age: torch.Tensor
+    """Steps since the episode began, from 0."""
+    speed: torch.Tensor
+    """Velocity of the centre of mass in the target direction, +x [m/s]; NaN in the first step of an episode."""
+
+    @property
+    def standing(self) -> torch.Tensor:
+        """Steps before the environment's first fall, bool, shape [time, num_envs]."""
+        return self.fallen.cumsum(dim=0) == 0
+
+    @property
+    def settled(self) -> torch.Tensor:
+        """Steps that measures of steady locomotion count: after the first second, before the first fall."""
+        return self.standing & (self.age >= WARM_UP)
+
+    def among(self, environments: torch.Tensor) -> Recording:
+        """The recording of some environments, given as a bool tensor of shape [num_envs]."""
+        return Recording(
+            **{
+                name: value[environments] if name == "condition" else value[:, environments]
+                for name, value in vars(self).items()
+            }
+        )
+
+
+def share_out(num_envs: int, conditions: int) -> torch.Tensor:
+    """Condition of each environment, as evenly as possible, shape [num_envs]."""
+    return torch.arange(num_envs) * conditions // num_envs
+
+
+def record(
+    protocol: Protocol,
+    frequencies: torch.Tensor,
+    environment: Environment,
+    agent: Agent,
+    progress: Callable[[int], None] = lambda step: None,
+) -> Recording:
+    """Run a protocol: the one loop for all of them.
+
+    Args:
+        protocol: What is done; its pushes are already part of the environment's task.
+        frequencies: Stride frequency at the start of each condition [Hz], shape [conditions].
+        environment: Environments whose episodes do not time out.
+        agent: What controls them.
+        progress: Called with the number of steps done.
+    """
+    steps, n, device = protocol.steps, environment.num_envs, environment.device
+    condition = share_out(n, len(frequencies)).to(device)
+    start = frequencies.to(device)[condition]
+    environment.frequency = start
+    environment.reset(torch.ones(n, dtype=torch.bool, device=device))
+
+    def empty(*shape: int, dtype: torch.dtype = torch.float) -> torch.Tensor:
+        return torch.zeros(steps, n, *shape, dtype=dtype, device=device)
+
+    kept = Recording(
+        condition=condition,
+        frequency=empty(),
+        root_position=empty(3),
+        root_rotation=empty(4),
+        joint_position=empty(NUM_JOINTS),
+        power=empty(),
+        contact=empty(2, dtype=torch.bool),
+        fallen=empty(dtype=torch.bool),
+        age=empty(dtype=torch.long),
+        speed=empty(),
+    )
+    age = torch.zeros(n, dtype=torch.long, device=device)
+    for step, frame in enumerate(physical_frames(environment, agent, steps, Tally(start))):
+        outcome = environment.outcome
+        kept.frequency[step] = environment.frequency
+        kept.root_position[step] = frame.root_position
+        kept.root_rotation[step] = frame.root_rotation
+        kept.joint_position[step] = frame.joint_position
+        kept.power[step] = metrics.mechanical_power(outcome.state.joint_torque, outcome.state.joint_velocity)
+        kept.contact[step] = metrics.feet_on_ground(outcome.state.foot_force)
+        kept.fallen[step] = outcome.fallen | outcome.off_course
+        kept.age[step] = age
+        age = torch.where(kept.fallen[step], 0, age + 1)
+        environment.frequency = start + protocol.ramp * CONTROL_DT * (step + 1)
+        progress(step + 1)
+    kept.speed = forward_speed(kept)
+    return kept
+
+
+def forward_speed(recording: Recording) -> torch.Tensor:
+    """Velocity of the centre of mass along x [m/s] from its way in each step, shape [time, num_envs]; NaN at starts."""
+    chunks = zip(
+        recording.root_position.split(_CHUNK),
+        recording.root_rotation.split(_CHUNK),
+        recording.joint_position.split(_CHUNK),
+        strict=True,
+    )
+    x = torch.cat([centre_of_mass(*chunk)[..., 0] for chunk in chunks])
+    speed = torch.full_like(x, math.nan)
+    speed[1:] = (x[1:] - x[:-1]) / CONTROL_DT
+    return torch.where(recording.age > 0, speed, math.nan)

@@ -1,0 +1,136 @@
+"""Results on disk: per protocol one tidy CSV file of numbers and one JSON file with where they come from.
+
+A cell without a number is empty, never NaN, and then the row's ``reason`` says why. A folder holds the results of one
+evaluation: files that exist are never overwritten, and a protocol may be added only for the same controllers.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from aicpg_newton.errors import UserError
+from aicpg_newton.evaluation.protocols import PROTOCOLS
+
+Row = dict[str, Any]
+"""Column to number or text; None or NaN for a cell without a number."""
+
+_TEXT = ("method", "reason")
+
+
+def prepare(folder: Path, names: Iterable[str], controllers: list[dict[str, Any]]) -> None:
+    """Make the folder, once it is sure that nothing in it would be overwritten or mixed up.
+
+    Args:
+        folder: Where results go.
+        names: Protocols that will be written.
+        controllers: What :func:`write` will be told of the controllers.
+
+    Raises:
+        UserError: The folder holds one of these protocols or another evaluation, or cannot be written to.
+    """
+    for name in names:
+        for path in (folder / f"{name}.csv", folder / f"{name}.json"):
+            if path.exists():
+                raise UserError(f"{path} exists and would be overwritten; give --out another folder or move it away")
+    for name in PROTOCOLS:
+        path = folder / f"{name}.json"
+        if path.exists() and read_description(folder, name)["controllers"] != controllers:
+            raise UserError(f"{folder} holds results of other controllers; give --out another folder")
+    make_folder(folder)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results or figures, unless it is there.
+
+    Raises:
+        UserError: It cannot be made or written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {folder} ({error.strerror}); give --out another one") from error
+    if not os.access(folder, os.W_OK):
+        raise UserError(f"the folder {folder} may not be written to; give --out another one")
+
+
+def write(folder: Path, name: str, rows: Sequence[Row], description: dict[str, Any]) -> None:
+    """Write ``name.csv`` and ``name.json``; each appears whole or not at all.
+
+    Args:
+        folder: A folder that :func:`prepare` has checked.
+        name: Protocol.
+        rows: One entry per line, with the protocol's columns.
+        description: Where the numbers come from, and the summary; numbers that are not finite become null.
+    """
+    columns = PROTOCOLS[name].columns
+    lines = [{column: _cell(row[column]) for column in columns} for row in rows]
+    for line in lines:
+        assert line["reason"] or all(line[column] for column in columns if column != "reason"), line
+    temporary = folder / f"{name}.partial"
+    with temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(lines)
+    os.replace(temporary, folder / f"{name}.csv")
+    temporary.write_text(json.dumps(_plain(description), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(temporary, folder / f"{name}.json")
+
+
+def read_table(folder: Path, name: str) -> list[Row]:
+    """Rows of a protocol's CSV file, numbers as floats and empty cells as NaN.
+
+    Raises:
+        UserError: The file is missing, has other columns, or a cell that is no number.
+    """
+    path = folder / f"{name}.csv"
+    if not path.is_file():
+        raise UserError(f"there is no {path}; run the {name} protocol first")
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        if tuple(reader.fieldnames or ()) != PROTOCOLS[name].columns:
+            raise UserError(f"{path} does not have the columns of the {name} protocol; evaluate again")
+        try:
+            return [
+                {key: text if key in _TEXT else float(text or "nan") for key, text in row.items()} for row in reader
+            ]
+        except ValueError as error:
+            raise UserError(f"{path} holds a cell that is not a number ({error}); evaluate again") from error
+
+
+def read_description(folder: Path, name: str) -> dict[str, Any]:
+    """Content of a protocol's JSON file.
+
+    Raises:
+        UserError: The file is missing or torn.
+    """
+    path = folder / f"{name}.json"
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path} cannot be read; run the {name} protocol into another folder") from error
+
+
+def _cell(value: Any) -> str:
+    """Text of a CSV cell: six significant digits, whole numbers as they are, nothing for no number."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.6g}" if math.isfinite(value) else ""
+
+
+def _plain(value: Any) -> Any:
+    """The same content with None in place of numbers that are not finite."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

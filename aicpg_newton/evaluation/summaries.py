@@ -1,0 +1,321 @@
+"""From recordings to rows: what each protocol reads off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from aicpg_newton import metrics
+from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE
+from aicpg_newton.evaluation.protocols import COMMAND
+from aicpg_newton.evaluation.recording import SHORTEST, Recording
+from aicpg_newton.evaluation.records import Row
+
+FLIGHT_THRESHOLD = 1.5 / 60
+"""A window of 60 steps with a larger flight phase ratio has flight: two steps, as one may be a chance of sampling."""
+
+TRANSITION_FROUDE = 0.5
+"""Froude number of the change of gait (paper, Sec. II-C.2)."""
+
+WINDOW = 60
+"""Steps of the windows of the transition test (paper, Sec. III-B)."""
+
+DIAGRAMS = {"walking": (2.0, 5.0), "running": (27.0, 30.0)}
+"""Times of the gait diagrams [s] (Fig. 4 d, e)."""
+
+POSES = 11
+"""Number of poses in the schematic (Fig. 4 c)."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Whose recording it is."""
+
+    method: str
+    seed: int
+    iteration: int
+    """Training iteration of the checkpoint."""
+
+
+def _mean(values: torch.Tensor) -> float:
+    """Mean over the environments that have a value; NaN where none has."""
+    return float(values[torch.isfinite(values)].mean())
+
+
+def _std(values: torch.Tensor) -> float:
+    """Standard deviation over the environments that have a value."""
+    finite = values[torch.isfinite(values)]
+    return float(finite.std(correction=0)) if len(finite) else math.nan
+
+
+def _groups(recording: Recording, conditions: int) -> list[Recording]:
+    """The recording of each condition."""
+    return [recording.among(recording.condition == index) for index in range(conditions)]
+
+
+def steady_measures(recording: Recording) -> dict[str, torch.Tensor]:
+    """All measures of steady locomotion, each of shape [num_envs]; NaN where an environment did not last.
+
+    They count the steps after the first second and before the first fall, if these are a second or more.
+    """
+    valid = recording.settled
+    valid = valid & (valid.sum(dim=0) >= SHORTEST)
+    stride = metrics.stride_frequency(recording.contact, valid)
+    return {
+        "speed_mps": metrics.masked_mean(recording.speed, valid),
+        "cost_of_transport": metrics.cost_of_transport(recording.power, recording.speed, valid),
+        # Left limbs are compared half a stride after right ones; see the function for why.
+        "symmetry_index": metrics.symmetry_index(recording.joint_position, valid, 0.5 * CONTROL_RATE / stride),
+        "balance_index": metrics.balance_index(recording.root_rotation, valid),
+        "flight_ratio": metrics.flight_ratio(recording.contact, valid),
+        "stride_frequency_hz": stride,
+        "duty_factor": metrics.duty_factor(recording.contact, valid),
+        "flight_share_of_strides": metrics.flight_share_of_strides(recording.contact, valid),
+    }
+
+
+def sweep_rows(recording: Recording, frequencies: torch.Tensor, source: Source) -> tuple[list[Row], dict[str, Any]]:
+    """A row per frequency, and stride frequency and duty factor for the summary."""
+    rows, strides = [], []
+    for frequency, group in zip(frequencies.tolist(), _groups(recording, len(frequencies)), strict=True):
+        measures = {name: _mean(values) for name, values in steady_measures(group).items()}
+        speed = measures["speed_mps"]
+        reasons = []
+        if math.isnan(speed):
+            reasons.append("every environment fell before it had walked for two seconds")
+        else:
+            if math.isnan(measures["cost_of_transport"]):
+                reasons.append("no forward motion: no cost of transport")
+            if math.isnan(measures["symmetry_index"]) or math.isnan(measures["flight_ratio"]):
+                reasons.append("no whole stride: no symmetry index or flight ratio")
+        rows.append(
+            {
+                "method": source.method,
+                "frequency_hz": frequency,
+                "seed": source.seed,
+                **measures,
+                "froude": float(metrics.froude_number(torch.tensor(speed))),
+                "survived": float((~group.fallen.any(dim=0)).float().mean()),
+                "falls_per_minute": _mean(metrics.falls_per_minute(group.fallen)),
+                "reason": "; ".join(reasons),
+            }
+        )
+        names = ("stride_frequency_hz", "duty_factor", "flight_share_of_strides")
+        strides.append({"frequency_hz": frequency, **{name: measures[name] for name in names}})
+    return rows, {"strides": strides}
+
+
+def disturbance_rows(
+    recording: Recording, frequencies: torch.Tensor, source: Source
+) -> tuple[list[Row], dict[str, Any]]:
+    """Falls per minute and mean speed at each frequency, over all episodes of the minute."""
+    rows = []
+    valid = recording.age >= SHORTEST
+    valid &= ~recording.fallen
+    for index, frequency in enumerate(frequencies.tolist()):
+        mine = recording.condition == index
+        # All steps of the condition as one: an environment that falls more often has fewer steps to tell a speed from.
+        speed = metrics.masked_mean(recording.speed[:, mine].reshape(-1, 1), valid[:, mine].reshape(-1, 1))
+        rows.append(
+            {
+                "method": source.method,
+                "frequency_hz": frequency,
+                "seed": source.seed,
+                "iteration": source.iteration,
+                "speed_mps": float(speed),
+                "falls_per_minute": _mean(metrics.falls_per_minute(recording.fallen[:, mine])),
+                "reason": "no environment ever walked for more than a second" if math.isnan(float(speed)) else "",
+            }
+        )
+    return rows, {}
+
+
+def transition_rows(
+    recording: Recording, frequencies: torch.Tensor, source: Source
+) -> tuple[list[Row], dict[str, Any]]:
+    """A row per control step over the environments that still stand, and the changes of gait."""
+    settled = recording.settled
+    speed = metrics.moving_mean(recording.speed, settled, WINDOW)
+    flight = metrics.moving_mean((~recording.contact.any(dim=2)).float(), settled, WINDOW)
+    standing = recording.standing
+    shown = int(standing.sum(dim=0).argmax())  # the first of those that stay up longest
+    rows = []
+    for step in range(len(speed)):
+        mean_speed, reasons = _mean(speed[step]), []
+        if not standing[step].any():
+            reasons.append("every environment has fallen")
+        elif math.isnan(mean_speed):
+            reasons.append("no standing environment has a full window of one second around this step")
+        if not standing[step, shown]:
+            reasons.append("the environment of the gait diagram has fallen")
+        feet = recording.contact[step, shown].int().tolist() if standing[step, shown] else (None, None)
+        rows.append(
+            {
+                "method": source.method,
+                "seed": source.seed,
+                "time_s": (step + 1) * CONTROL_DT,
+                "frequency_hz": float(recording.frequency[step, shown]),
+                "speed_mps": mean_speed,
+                "speed_std_mps": _std(speed[step]),
+                "froude": float(metrics.froude_number(torch.tensor(mean_speed))),
+                "flight_ratio": _mean(flight[step]),
+                "flight_ratio_std": _std(flight[step]),
+                "standing": float(standing[step].float().mean()),
+                "right_contact": feet[0],
+                "left_contact": feet[1],
+                "reason": "; ".join(reasons),
+            }
+        )
+    summary = {
+        **gait_changes(recording, speed, flight),
+        "gait_diagrams": {name: _diagram(recording, shown, *times) for name, times in DIAGRAMS.items()},
+        "poses": _poses(recording, shown),
+    }
+    return rows, summary
+
+
+def gait_changes(recording: Recording, speed: torch.Tensor, flight: torch.Tensor) -> dict[str, Any]:
+    """Where the Froude number passes 0.5, where flight begins and where it becomes steady.
+
+    Each environment that never fell is read off by itself; the summary is their mean and standard deviation. Flight
+    begins at the first window with flight, and is steady from the last window without.
+
+    Args:
+        recording: The transition test.
+        speed: Speed in a window around each step [m/s], shape [time, num_envs].
+        flight: Flight phase ratio in such windows, shape [time, num_envs].
+    """
+    whole = ~recording.fallen.any(dim=0)
+    found: dict[str, list[float]] = {
+        name: []
+        for name in ("transition_speed_mps", "transition_frequency_hz", "flight_begins_hz", "flight_is_steady_hz")
+    }
+    for env in whole.nonzero().squeeze(1).tolist():
+        steps = torch.isfinite(speed[:, env])
+        if not steps.any():
+            continue
+        f, v = recording.frequency[steps, env], speed[steps, env]
+        flying = flight[steps, env] > FLIGHT_THRESHOLD
+        fast = metrics.froude_number(v) >= TRANSITION_FROUDE
+        if fast.any() and not fast[0]:
+            first = int(fast.long().argmax())
+            found["transition_speed_mps"].append(float(v[first]))
+            found["transition_frequency_hz"].append(float(f[first]))
+        if flying.any():
+            found["flight_begins_hz"].append(float(f[int(flying.long().argmax())]))
+        if flying[-1]:
+            without = (~flying).nonzero()
+            found["flight_is_steady_hz"].append(float(f[int(without[-1]) + 1 if len(without) else 0]))
+    reasons = {
+        "transition_speed_mps": "no speed passes a Froude number of 0.5",
+        "transition_frequency_hz": "no speed passes a Froude number of 0.5",
+        "flight_begins_hz": "no window of a second with flight",
+        "flight_is_steady_hz": "no flight in the last window",
+    }
+    count = int(whole.sum())
+    result: dict[str, Any] = {"environments_that_never_fell": count, "environments": len(whole)}
+    for name, values in found.items():
+        reason = "" if values else reasons[name] if count else "no environment stayed up for the 30 s"
+        mean, std = (float(np.mean(values)), float(np.std(values))) if values else (None, None)
+        result[name] = {"mean": mean, "std": std, "environments": len(values), "reason": reason}
+    return result
+
+
+def _diagram(recording: Recording, env: int, start: float, end: float) -> dict[str, Any]:
+    """Strides of one environment in a stretch of time."""
+    chosen = slice(round(start * CONTROL_RATE), round(end * CONTROL_RATE))
+    contact = recording.contact[chosen, env : env + 1]
+    valid = recording.standing[chosen, env : env + 1]
+    measures = {
+        "stride_frequency_hz": float(metrics.stride_frequency(contact, valid)),
+        "duty_factor": float(metrics.duty_factor(contact, valid)),
+        "flight_ratio": float(metrics.flight_ratio(contact, valid)),
+    }
+    incomplete = any(math.isnan(value) for value in measures.values())
+    return {"from_s": start, "to_s": end, **measures, "reason": "no whole stride of both feet" if incomplete else ""}
+
+
+def _poses(recording: Recording, env: int) -> list[dict[str, Any]]:
+    """Poses of one environment at even times, for the schematic of Fig. 4 (c); none after its first fall."""
+    steps = np.linspace(WINDOW, len(recording.fallen) - 1, POSES).round().astype(int)
+    return [
+        {
+            "time_s": (int(step) + 1) * CONTROL_DT,
+            "frequency_hz": float(recording.frequency[step, env]),
+            "height_m": float(recording.root_position[step, env, 2]),
+            "root_rotation": recording.root_rotation[step, env].tolist(),
+            "joint_position": recording.joint_position[step, env].tolist(),
+        }
+        for step in steps
+        if recording.standing[step, env]
+    ]
+
+
+def commands(sweep: list[Row], source: Source, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds to command, and the frequencies that the sweep's own curve gives for them.
+
+    The curve is made of the frequencies at which at least half of the environments never fell, and straight between
+    them. Where speed drops as frequency rises, the curve keeps the highest speed so far, so that every speed has one
+    frequency, the lowest that reaches it.
+
+    Args:
+        sweep: Rows of the sweep.
+        source: Whose curve.
+        count: Number of speeds, evenly spread over the curve's.
+
+    Returns:
+        Speeds [m/s] and frequencies [Hz], each of shape [count], or [0] where there is no such frequency.
+    """
+    mine = [row for row in sweep if (row["method"], row["seed"]) == (source.method, source.seed)]
+    points = sorted((row["frequency_hz"], row["speed_mps"]) for row in mine if row["survived"] >= 0.5)
+    if not points:
+        return np.empty(0), np.empty(0)
+    frequency, speed = np.array(points).T
+    speed = np.maximum.accumulate(speed)
+    rising = np.concatenate(([True], np.diff(speed) > 0))
+    wanted = np.linspace(speed[0], speed[-1], count)
+    return wanted, np.interp(wanted, speed[rising], frequency[rising])
+
+
+def command_rows(
+    recording: Recording, frequencies: torch.Tensor, speeds: np.ndarray, source: Source
+) -> tuple[list[Row], dict[str, Any]]:
+    """A row per commanded speed, and the error over all of them."""
+    rows = []
+    for frequency, wanted, group in zip(
+        frequencies.tolist(), speeds.tolist(), _groups(recording, len(speeds)), strict=True
+    ):
+        speed = _mean(steady_measures(group)["speed_mps"])
+        fell = math.isnan(speed)
+        rows.append(
+            {
+                "method": source.method,
+                "seed": source.seed,
+                "commanded_mps": wanted,
+                "frequency_hz": frequency,
+                "speed_mps": speed,
+                "error_mps": speed - wanted,
+                "survived": float((~group.fallen.any(dim=0)).float().mean()),
+                "reason": "every environment fell before it had walked for two seconds" if fell else "",
+            }
+        )
+    errors = np.array([row["error_mps"] for row in rows if math.isfinite(row["error_mps"])])
+    reason = "" if len(errors) else "no commanded speed was walked for two seconds"
+    summary = {
+        "mean_absolute_error_mps": float(np.abs(errors).mean()) if len(errors) else None,
+        "largest_absolute_error_mps": float(np.abs(errors).max()) if len(errors) else None,
+        "reason": reason,
+    }
+    return rows, summary
+
+
+def no_commands(source: Source) -> tuple[list[Row], dict[str, Any]]:
+    """What is left to say where the sweep gave no speed."""
+    reason = "no speed to command: at every frequency of the sweep most environments fell"
+    blank = dict.fromkeys(COMMAND.columns)
+    summary = {"mean_absolute_error_mps": None, "largest_absolute_error_mps": None, "reason": reason}
+    return [{**blank, "method": source.method, "seed": source.seed, "reason": reason}], summary

@@ -1,0 +1,238 @@
+"""Protocols run with a robot whose motion is known, and what is read off."""
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+
+from aicpg_newton import humanoid
+from aicpg_newton.environment import Environment
+from aicpg_newton.evaluation import summaries
+from aicpg_newton.evaluation.protocols import COMMAND, DISTURBANCE, PROTOCOLS, SWEEP, TRANSITION, Protocol
+from aicpg_newton.evaluation.recording import Recording, record, share_out
+from aicpg_newton.evaluation.summaries import Source
+from tasks import get_task
+
+SOURCE = Source("AI-CPG", 3, 100)
+
+
+@pytest.fixture
+def glider(puppet):
+    """Class of an engine whose robot glides along x at 1 + 0.5 i m/s in environment i, with steps of 40 and 20."""
+
+    class Glider(puppet):
+        def __init__(self, num_envs: int) -> None:
+            super().__init__(num_envs)
+            self.ticks = 0
+            self.fall_at: dict[int, int] = {}  # environment to step
+            self.pushed: list[torch.Tensor | None] = []
+
+        def step(self, target, target_velocity, reflex_torque, *, push=None) -> None:
+            super().step(target, target_velocity, reflex_torque, push=push)
+            self.pushed.append(push)
+            position = self.state.root_position.clone()
+            position[:, 0] += (1.0 + 0.5 * torch.arange(self.num_envs)) / 60
+            position[:, 2] = 0.88
+            for env, step in self.fall_at.items():
+                if step == self.ticks:
+                    position[env, 2] = 0.3
+            self.ticks += 1
+            force = torch.zeros(self.num_envs, 2, 3)
+            # A stride of 60 steps; each foot stands for 24, so 2 x 6 steps are flight.
+            force[:, 0, 2] = 480.0 if self.ticks % 60 < 24 else 0.0
+            force[:, 1, 2] = 480.0 if 30 <= self.ticks % 60 < 54 else 0.0
+            power = torch.zeros(self.num_envs, humanoid.NUM_JOINTS)
+            power[:, 3] = 50.0
+            self.state = replace(
+                self.state,
+                root_position=position,
+                root_rotation=torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(self.num_envs, 1),
+                joint_position=torch.zeros(self.num_envs, humanoid.NUM_JOINTS),
+                joint_velocity=power / 25.0,
+                joint_torque=power,
+                foot_force=force,
+            )
+
+    return Glider
+
+
+def run(protocol: Protocol, engine, pattern, frequencies=None) -> Recording:
+    """A recording of the CPG alone."""
+    task = get_task("flat")
+    task.pushes = protocol.pushes()
+    task.termination.episode_steps = protocol.steps + 1
+    environment = Environment(task, engine, pattern, humanoid.motors())
+    start = torch.tensor(protocol.frequencies if frequencies is None else frequencies)
+    return record(protocol, start, environment, lambda observed: observed.new_zeros(len(observed), 28))
+
+
+def test_protocols_are_the_papers():
+    """Frequencies, times and forces of Sec. III."""
+    assert SWEEP.frequencies[0] == 0.7 and SWEEP.frequencies[-1] == 1.4 and SWEEP.duration == 20.0
+    assert SWEEP.frequencies == tuple(sorted(SWEEP.frequencies)) and SWEEP.conditions == 15
+    pushes = DISTURBANCE.pushes()
+    assert (pushes.force, pushes.duration, pushes.interval) == (200.0, 0.1, 1.0)
+    assert DISTURBANCE.steps == 3600 and DISTURBANCE.checkpoints == 5
+    assert TRANSITION.frequencies == (0.7,) and TRANSITION.ramp == 0.023 and TRANSITION.steps == 1800
+    assert SWEEP.pushes().force == TRANSITION.pushes().force == COMMAND.pushes().force == 0.0
+    for protocol in PROTOCOLS.values():
+        assert protocol.columns[-1] == "reason" and len(set(protocol.columns)) == len(protocol.columns)
+    assert SWEEP.columns[:-1] == (
+        *("method", "frequency_hz", "seed", "speed_mps", "cost_of_transport", "symmetry_index", "balance_index"),
+        *("froude", "flight_ratio", "survived", "falls_per_minute"),
+    )
+
+
+def test_environments_are_shared_out_evenly():
+    """64 over 15 conditions: 4 or 5 each, in order."""
+    shares = share_out(64, 15)
+    assert set(shares.bincount().tolist()) == {4, 5}
+    assert shares.tolist() == sorted(shares.tolist())
+
+
+def test_a_sweep_reads_off_the_known_motion(glider, pattern):
+    """Two conditions of two robots at 1, 1.5, 2 and 2.5 m/s; 100 W; flight in 12 of 60 steps."""
+    protocol = replace(SWEEP, duration=6.0, frequencies=(0.8, 1.2))
+    recording = run(protocol, glider(4), pattern)
+    assert recording.frequency[-1].tolist() == pytest.approx([0.8, 0.8, 1.2, 1.2])
+    rows, summary = summaries.sweep_rows(recording, torch.tensor(protocol.frequencies), SOURCE)
+    assert [row["frequency_hz"] for row in rows] == pytest.approx([0.8, 1.2])
+    assert [row["speed_mps"] for row in rows] == pytest.approx([1.25, 2.25], rel=1e-3)
+    weight = 48.9 * 9.81
+    cost = [0.5 * (100 / weight / 1.0 + 100 / weight / 1.5), 0.5 * (100 / weight / 2.0 + 100 / weight / 2.5)]
+    assert [row["cost_of_transport"] for row in rows] == pytest.approx(cost, rel=1e-3)
+    assert [row["froude"] for row in rows] == pytest.approx([1.25**2 / 8.38755, 2.25**2 / 8.38755], rel=1e-3)
+    for row, stride in zip(rows, summary["strides"], strict=True):
+        assert (row["method"], row["seed"], row["reason"]) == ("AI-CPG", 3, "")
+        assert row["flight_ratio"] == pytest.approx(0.2)
+        assert (row["symmetry_index"], row["balance_index"]) == (0.0, pytest.approx(1.0))
+        assert (row["survived"], row["falls_per_minute"]) == (1.0, 0.0)
+        assert stride["stride_frequency_hz"] == pytest.approx(1.0) and stride["duty_factor"] == pytest.approx(0.4)
+
+
+def test_falls_end_what_is_measured_and_are_counted(glider, pattern):
+    """One of two robots falls after 3 s: it does not survive, but the second before still counts."""
+    engine = glider(2)
+    engine.fall_at = {1: 180}
+    protocol = replace(SWEEP, duration=6.0, frequencies=(1.0,))
+    recording = run(protocol, engine, pattern)
+    assert recording.fallen.nonzero().tolist() == [[180, 1]]
+    assert recording.settled.sum(dim=0).tolist() == [300, 120]
+    assert recording.age[181, 1] == 0 and torch.isnan(recording.speed[181, 1])
+    row = summaries.sweep_rows(recording, torch.tensor([1.0]), SOURCE)[0][0]
+    assert row["survived"] == 0.5 and row["falls_per_minute"] == pytest.approx(5.0)
+    assert row["speed_mps"] == pytest.approx(1.25, rel=1e-3)
+
+
+def test_everything_falls_at_once(glider, pattern):
+    """Every protocol gives rows whose empty cells have a reason."""
+    engine = glider(3)
+    engine.state.root_position[:] = 0.0
+
+    def falling(*arguments, **options) -> None:
+        glider.step(engine, *arguments, **options)
+        position = engine.state.root_position.clone()
+        position[:, 2] = 0.2
+        engine.state = replace(engine.state, root_position=position, joint_torque=position.new_full((3, 28), math.nan))
+
+    engine.step = falling
+    start = torch.tensor([0.7, 1.0, 1.3])
+    recording = run(replace(SWEEP, duration=3.0, frequencies=(0.7, 1.0, 1.3)), engine, pattern)
+    tables = {
+        "sweep": summaries.sweep_rows(recording, start, SOURCE),
+        "disturbance": summaries.disturbance_rows(recording, start, SOURCE),
+        "transition": summaries.transition_rows(recording, start[:1], SOURCE),
+        "command": summaries.command_rows(recording, start, np.array([1.0, 2.0, 3.0]), SOURCE),
+    }
+    tables["command again"] = summaries.no_commands(SOURCE)
+    for name, (rows, _) in tables.items():
+        for row in rows:
+            empty = [key for key, value in row.items() if value is None or value != value]
+            assert not empty or row["reason"], (name, row)
+    assert tables["sweep"][0][0]["falls_per_minute"] == pytest.approx(3600.0)
+    assert tables["sweep"][0][0]["survived"] == 0.0
+    changes = tables["transition"][1]
+    assert changes["flight_begins_hz"]["mean"] is None and "stayed up" in changes["flight_begins_hz"]["reason"]
+    assert changes["poses"] == []
+
+
+def test_a_disturbance_pushes_in_a_tenth_of_every_second(glider, pattern):
+    """Forces on all axes, up to 200 N, in 6 steps of 60; falls per minute over all episodes."""
+    engine = glider(4)
+    engine.fall_at = {0: 100, 1: 200}
+    protocol = replace(DISTURBANCE, duration=10.0, frequencies=(0.8, 1.2))
+    recording = run(protocol, engine, pattern)
+    force = torch.stack([push for push in engine.pushed if push is not None])
+    assert len(force) == 600
+    assert ((force != 0).any(dim=2).sum(dim=0) - 60).abs().max() <= 6
+    assert 150.0 < force.abs().max() <= 200.0 and (force.abs().amax(dim=(0, 1)) > 100.0).all()
+    rows, _ = summaries.disturbance_rows(recording, torch.tensor([0.8, 1.2]), SOURCE)
+    assert [row["falls_per_minute"] for row in rows] == pytest.approx([6.0, 0.0])
+    assert rows[1]["speed_mps"] == pytest.approx(2.25, rel=1e-3) and rows[0]["iteration"] == 100
+
+
+def test_a_transition_raises_the_frequency(glider, pattern):
+    """f(t) = 0.7 + 0.023 t; windows of 60 steps; the diagram shows an environment's feet."""
+    recording = run(replace(TRANSITION, duration=8.0), glider(2), pattern)
+    assert recording.frequency[300].tolist() == pytest.approx([0.815, 0.815], abs=1e-4)
+    rows, summary = summaries.transition_rows(recording, torch.tensor([0.7]), SOURCE)
+    assert len(rows) == 480 and rows[-1]["time_s"] == pytest.approx(8.0)
+    middle = rows[240]
+    assert middle["speed_mps"] == pytest.approx(1.25, rel=1e-3)
+    assert middle["speed_std_mps"] == pytest.approx(0.25, rel=1e-2)
+    assert middle["flight_ratio"] == pytest.approx(0.2) and middle["reason"] == ""
+    assert "full window" in rows[10]["reason"] and math.isnan(rows[10]["speed_mps"])
+    walking = summary["gait_diagrams"]["walking"]
+    assert walking["stride_frequency_hz"] == pytest.approx(1.0) and walking["flight_ratio"] == pytest.approx(0.2)
+    assert len(summary["poses"]) == 11
+    assert summary["gait_diagrams"]["running"]["reason"]  # this one ends before
+    assert {(row["right_contact"], row["left_contact"]) for row in rows[60:120]} == {(1, 0), (0, 1), (0, 0)}
+
+
+def test_gait_changes_by_hand():
+    """Fr passes 0.5 at 2.048 m/s; flight comes in windows 1000 to 1099 and from 1300 on."""
+    ramp = (0.7 + 0.023 * torch.arange(1800) / 60).unsqueeze(1).repeat(1, 2)
+    nothing = torch.zeros(1800, 2)
+    others = {each.name: nothing for each in fields(Recording) if each.name not in ("frequency", "fallen")}
+    recording = Recording(frequency=ramp, fallen=nothing.bool(), **others)
+    speed = torch.linspace(1.0, 4.0, 1800).unsqueeze(1).repeat(1, 2)
+    flight = torch.zeros(1800, 2)
+    flight[1000:1100] = 0.1
+    flight[1300:] = 0.2
+    speed[:60], flight[:60] = math.nan, math.nan
+    found = summaries.gait_changes(recording, speed, flight)
+    assert found["transition_speed_mps"]["mean"] == pytest.approx(2.048, abs=2e-3)
+    assert found["flight_begins_hz"]["mean"] == pytest.approx(0.7 + 0.023 * 1000 / 60, abs=1e-4)
+    assert found["flight_is_steady_hz"]["mean"] == pytest.approx(0.7 + 0.023 * 1300 / 60, abs=1e-4)
+    assert found["flight_begins_hz"]["environments"] == 2
+    flight[-1] = 0.0
+    found = summaries.gait_changes(recording, torch.full_like(speed, 1.0), flight)
+    assert found["flight_is_steady_hz"]["reason"] and found["transition_speed_mps"]["reason"]
+
+
+def test_a_speed_becomes_a_frequency_by_the_sweeps_curve():
+    """Straight between points, other seeds and falls left out, and the lowest frequency where speed drops."""
+    points = [(0.7, 1.0, 3), (0.8, 1.5, 3), (0.9, math.nan, 3), (1.0, 1.4, 3), (1.1, 2.4, 3), (1.2, 9.0, 4)]
+    rows = [
+        {"method": "AI-CPG", "seed": seed, "frequency_hz": f, "speed_mps": v, "survived": float(v == v)}
+        for f, v, seed in points
+    ]
+    rows.append({"method": "AI-CPG", "seed": 3, "frequency_hz": 1.3, "speed_mps": 7.0, "survived": 0.25})
+    speeds, frequencies = summaries.commands(rows, SOURCE, 8)
+    assert speeds.tolist() == pytest.approx(np.linspace(1.0, 2.4, 8).tolist())
+    assert frequencies[0] == 0.7 and frequencies[-1] == pytest.approx(1.1)
+    assert np.interp(1.4, speeds, frequencies) == pytest.approx(0.78)
+    assert (np.diff(frequencies) > 0).all()
+    assert len(summaries.commands(rows, Source("PPO", 3, 0), 8)[0]) == 0
+
+
+def test_command_errors(glider, pattern):
+    """Robots at 1 and 1.5 m/s told to do 1.2 and 1.5."""
+    protocol = replace(COMMAND, duration=4.0)
+    recording = run(protocol, glider(2), pattern, frequencies=(0.8, 1.0))
+    rows, summary = summaries.command_rows(recording, torch.tensor([0.8, 1.0]), np.array([1.2, 1.5]), SOURCE)
+    assert [row["error_mps"] for row in rows] == pytest.approx([-0.2, 0.0], abs=1e-3)
+    assert summary["mean_absolute_error_mps"] == pytest.approx(0.1, abs=1e-3)
+    assert summary["largest_absolute_error_mps"] == pytest.approx(0.2, abs=1e-3)
