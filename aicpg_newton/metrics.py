@@ -25,8 +25,8 @@ SLOWEST_SPEED = 0.1
 SMALLEST_ANGLE = math.radians(1.0)
 """Least denominator of the symmetry index [rad]: joints within a degree of zero are compared with a degree."""
 
-_CLEARANCE_STEPS = 6  # 0.1 s in the air before a touch-down: less is a bounce of the same step
-_LANDING_STEPS = 3  # of the first 0.05 s after it, most must be on the ground: less is a scuff of the swinging foot
+_LONGEST_BOUNCE = 3  # steps in the air (0.05 s) that do not end a stance
+_SHORTEST_STANCE = 6  # steps on the ground (0.1 s); less is a scuff of the swinging foot
 
 _RIGHT = [index for index, name in enumerate(JOINT_NAMES) if name.startswith("right_")]
 _LEFT = [MIRROR_PERMUTATION[index] for index in _RIGHT]
@@ -154,18 +154,32 @@ def feet_on_ground(foot_force: torch.Tensor) -> torch.Tensor:
 
 
 def touch_downs(contact: torch.Tensor) -> torch.Tensor:
-    """Steps at which feet land after a swing, without bounces and scuffs; bool, shape as ``contact``.
+    """Steps at which feet land after a swing; bool, shape as ``contact``.
+
+    Bounces of up to 0.05 s are filled in, and contacts that are then shorter than 0.1 s left out as scuffs: trained
+    gaits drag a toe early in the swing, up to five steps long, which would make two strides of one.
 
     Args:
         contact: Whether feet are on the ground, bool, shape [time, ...].
     """
-    down = contact.float()
+    longer = torch.cat((contact, contact.new_zeros(_LONGEST_BOUNCE, *contact.shape[1:])))
+    closed = _throughout(_lately(longer, _LONGEST_BOUNCE), _LONGEST_BOUNCE)[: len(contact)]
+    stance = _lately(_throughout(closed, _SHORTEST_STANCE - 1), _SHORTEST_STANCE - 1)
     # A foot that is down at the start has not landed; nothing is known of the time before.
-    before = torch.cat((down.new_ones(_CLEARANCE_STEPS, *down.shape[1:]), down))
-    after = torch.cat((down, down.new_zeros(_LANDING_STEPS, *down.shape[1:])))
-    swung = sum(before[i : i + len(down)] for i in range(_CLEARANCE_STEPS)) == 0
-    stays = sum(after[i : i + len(down)] for i in range(_LANDING_STEPS)) > _LANDING_STEPS / 2
-    return contact & swung & stays
+    before = torch.cat((stance.new_ones(1, *stance.shape[1:]), stance[:-1]))
+    return stance & ~before
+
+
+def _lately(mask: torch.Tensor, steps: int) -> torch.Tensor:
+    """Whether the mask holds now or held within the last steps, shape [time, ...]."""
+    padded = torch.cat((mask.new_zeros(steps, *mask.shape[1:]), mask))
+    return torch.stack([padded[i : i + len(mask)] for i in range(steps + 1)]).any(dim=0)
+
+
+def _throughout(mask: torch.Tensor, steps: int) -> torch.Tensor:
+    """Whether the mask holds now and in all of the next steps, shape [time, ...]."""
+    padded = torch.cat((mask, mask.new_zeros(steps, *mask.shape[1:])))
+    return torch.stack([padded[i : i + len(mask)] for i in range(steps + 1)]).all(dim=0)
 
 
 def whole_strides(contact: torch.Tensor, valid: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

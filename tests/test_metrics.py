@@ -131,16 +131,19 @@ def test_feet_on_ground():
 
 
 def test_touch_downs_skip_bounces_and_scuffs():
-    """A first contact after six clear steps counts; a bounce three steps later and a scuff of one step do not."""
-    track = steps("##.......##...####.......#.......###..", "." * 38)
+    """A stance is filled in over bounces of three steps and shorter; contacts shorter than six steps are scuffs."""
+    track = steps("##.......##...####....#####..########......#.##....######", "." * 57)
     found = metrics.touch_downs(track)[:, 0, 0].nonzero().squeeze(1).tolist()
-    assert found == [9, 33]
+    assert found == [9, 22, 51]
+    scuffs = steps("##" + (".......##########....+.+++..........").replace("+", "#") * 3 + "######", "." * 116)
+    landings = metrics.touch_downs(scuffs)[:, 0, 0].nonzero().squeeze(1).tolist()
+    assert landings == [9, 45, 81, 110]
 
 
 def test_strides_by_hand():
     """Strides of 20 steps: 3 per second, on the ground for 12 of 20; in the run 4 of 20 steps are flight."""
-    walk = steps(".......##" + ("#" * 10 + "." * 8 + "##") * 2 + "###", "#" * 52)
-    assert metrics.whole_strides(walk[..., 0], everything(52))[1].tolist() == [2]
+    walk = steps(".......##" + ("#" * 10 + "." * 8 + "##") * 2 + "####", "#" * 53)
+    assert metrics.whole_strides(walk[..., 0], everything(53))[1].tolist() == [2]
     both = steps(
         ".......##" + ("#" * 10 + "." * 8 + "##") * 3,
         "#" * 7 + "..........##" + ("#" * 10 + "." * 8 + "##") * 2 + "#" * 10,
