@@ -80,6 +80,17 @@ def test_a_checkpoint_plays_with_its_own_task(tmp_path: Path, capsys: pytest.Cap
     assert "1.00" in capsys.readouterr().out
 
 
+def test_the_shipped_network_walks_and_runs_on_both_engines(capsys: pytest.CaptureFixture):
+    """Without a checkpoint the shipped one plays: in 5 s nobody falls at 0.9 and 1.3 Hz, and f sets the speed."""
+    for engine, num_envs in (("mujoco", 16), ("newton", 4)):
+        options = PlayOptions(frequency=(0.9, 1.3), num_envs=num_envs, duration=5.0, device="cpu", engine=engine)
+        tally = play(options, get_task("flat"))
+        slow, fast = tally.distance[: num_envs // 2].mean() / 5.0, tally.distance[num_envs // 2 :].mean() / 5.0
+        assert tally.falls.sum() == 0
+        assert 1.2 < slow < 2.0
+        assert 3.0 < fast < 4.5
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
