@@ -20,7 +20,7 @@ from aicpg_newton.device import resolve_device
 from aicpg_newton.engines import make_engine
 from aicpg_newton.environment import Environment
 from aicpg_newton.errors import UserError
-from aicpg_newton.evaluation.rollout import Agent, Frame, Tally, kinematic_frames, physical_frames
+from aicpg_newton.evaluation.rollout import Agent, Frame, Tally, kinematic_frames, physical_frames, share_out
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.task import Task, task_from_dict
 from aicpg_newton.viewing import FilmstripRow, LiveViewer, Recorder, save_filmstrip
@@ -77,8 +77,7 @@ def play(options: PlayOptions, default_task: Task) -> Tally:
     else:
         task = task_from_dict(trained["task"], str(path))
         pattern = PatternNetwork.from_content(trained["pattern"], str(path))
-    shares = torch.arange(options.num_envs, device=device) * len(options.frequency) // options.num_envs
-    frequency = torch.tensor(options.frequency, device=device)[shares]
+    frequency = torch.tensor(options.frequency)[share_out(options.num_envs, len(options.frequency))].to(device)
     tally = Tally(frequency)
     if options.agent == "mocap":
         frames = kinematic_frames(pattern.to(device), frequency, steps, tally)

@@ -12,7 +12,7 @@ from aicpg_newton import metrics
 from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE
 from aicpg_newton.environment import Environment
 from aicpg_newton.evaluation.protocols import Protocol
-from aicpg_newton.evaluation.rollout import Agent, Tally, physical_frames
+from aicpg_newton.evaluation.rollout import Agent, Tally, physical_frames, share_out
 from aicpg_newton.humanoid import NUM_JOINTS
 from aicpg_newton.kinematics import centre_of_mass
 
@@ -72,11 +72,6 @@ class Recording:
                 for name, value in vars(self).items()
             }
         )
-
-
-def share_out(num_envs: int, conditions: int) -> torch.Tensor:
-    """Condition of each environment, as evenly as possible, shape [num_envs]."""
-    return torch.arange(num_envs) * conditions // num_envs
 
 
 def record(

@@ -14,6 +14,11 @@ Agent = Callable[[torch.Tensor], torch.Tensor]
 """Observations [num_envs, 192] to reflex actions [num_envs, 28]."""
 
 
+def share_out(num_envs: int, conditions: int) -> torch.Tensor:
+    """Condition of each environment, as evenly as possible, shape [num_envs]."""
+    return torch.arange(num_envs) * conditions // num_envs
+
+
 @dataclass
 class Frame:
     """Poses of all humanoids at one control step."""

@@ -11,7 +11,8 @@ from aicpg_newton import humanoid
 from aicpg_newton.environment import Environment
 from aicpg_newton.evaluation import summaries
 from aicpg_newton.evaluation.protocols import COMMAND, DISTURBANCE, PROTOCOLS, SWEEP, TRANSITION, Protocol
-from aicpg_newton.evaluation.recording import Recording, record, share_out
+from aicpg_newton.evaluation.recording import Recording, record
+from aicpg_newton.evaluation.rollout import share_out
 from aicpg_newton.evaluation.summaries import Source
 from tasks import get_task
 
