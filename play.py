@@ -1,4 +1,4 @@
-"""Play a trained controller: python play.py --checkpoint runs/flat/.../model_2999.pt. See --help for every option."""
+"""Play a trained network: python play.py --checkpoint runs/flat/.../model_2999.pt. See --help for every option."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from tasks import get_task
 
 def main() -> None:
     """Read the command line and play."""
-    play(tyro.cli(PlayOptions, description=__doc__), get_task("flat"))
+    options = tyro.cli(PlayOptions, description=__doc__)
+    play(options, get_task(options.task or "flat"))
 
 
 if __name__ == "__main__":

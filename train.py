@@ -1,4 +1,4 @@
-"""Train the reflex network: python train.py --task flat. See --help for every setting."""
+"""Train a network: python train.py --task flat. See --help for every setting."""
 
 from __future__ import annotations
 
@@ -12,32 +12,37 @@ import tyro
 
 from aicpg_newton.errors import run_command
 from aicpg_newton.learning.training import RunOptions, task_of, train
+from aicpg_newton.methods import DEFAULT_METHOD, with_method
 from aicpg_newton.task import Task
 from tasks import TASKS, get_task
 
 
 @dataclass(kw_only=True)
 class Arguments:
-    """Train the reflex network of AI-CPG by PPO, on a GPU if there is one."""
+    """Train the reflex network of AI-CPG, or a baseline, by PPO, on a GPU if there is one."""
 
     task: str
     """Task of the registry; its settings are the defaults of the options below."""
+    method: str
+    """ai-cpg, ppo or amp: how the humanoid is controlled and learns; changes some of those defaults. See --target-speed
+    for ppo and --reference for amp."""
     run: Annotated[RunOptions, tyro.conf.arg(name="")]
     settings: Annotated[Task, tyro.conf.arg(name="")]
 
 
 def defaults(arguments: list[str]) -> Arguments:
-    """Defaults of all options: those of ``--task``, or of the checkpoint that ``--resume`` names.
+    """Defaults of all options: those of ``--task`` and ``--method``, or of the checkpoint that ``--resume`` names.
 
     Raises:
-        UserError: The task is unknown, or the checkpoint cannot be read.
+        UserError: The task or the method is unknown, or the checkpoint cannot be read.
     """
     first_look = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     first_look.add_argument("--task", default=next(iter(TASKS)))
+    first_look.add_argument("--method", default=DEFAULT_METHOD)
     first_look.add_argument("--resume", type=Path)
     given, _ = first_look.parse_known_args(arguments)
-    settings = get_task(given.task) if given.resume is None else task_of(given.resume)
-    return Arguments(task=settings.name, run=RunOptions(), settings=settings)
+    settings = with_method(get_task(given.task), given.method) if given.resume is None else task_of(given.resume)
+    return Arguments(task=settings.name, method=settings.method, run=RunOptions(), settings=settings)
 
 
 def main() -> None:

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import torch
 import tyro
 
-from aicpg_newton import humanoid
 from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.device import resolve_device
-from aicpg_newton.engines import ENGINES, Engine, make_engine
-from aicpg_newton.environment import Environment
+from aicpg_newton.engines import ENGINES, Engine
+from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.learning.runner import Runner
+from aicpg_newton.task import Task
 from tasks import get_task
 
 _BURST = 20
@@ -26,8 +26,8 @@ _BURST = 20
 class BenchmarkOptions:
     """Measure control steps per second, in all environments together."""
 
-    task: str = "flat"
-    """Task of the registry."""
+    tasks: tuple[str, ...] = ("flat", "uneven")
+    """Tasks of the registry, to see side by side what their ground costs."""
     num_envs: tuple[int, ...] = (256,)
     """Numbers of environments to measure."""
     engines: tuple[str, ...] = ()
@@ -45,6 +45,7 @@ class Rates:
     """What one engine does with one number of environments; rates in control steps per second."""
 
     engine: str
+    task: str
     num_envs: int
     build: float
     """Time from nothing to the end of the first control step [s]."""
@@ -63,32 +64,30 @@ class Rates:
         return 1.0 - self.environment / self.engine_alone
 
 
-def measure(options: BenchmarkOptions, name: str, num_envs: int, device: torch.device) -> Rates:
+def measure(options: BenchmarkOptions, name: str, task: Task, num_envs: int, device: torch.device) -> Rates:
     """Measure one engine with one number of environments, walking with the CPG and a small random reflex."""
-    task = get_task(options.task)
-    motors = humanoid.motors()
     began = time.perf_counter()
-    engine = make_engine(name, num_envs, device, motors, task.physics)
-    environment = Environment(task, engine, PatternNetwork.load(), motors)
+    engine = engine_for(task, name, num_envs, device)
+    environment = Environment(task, engine, PatternNetwork.load())
     actions = 0.4 * torch.randn(num_envs, environment.num_actions, device=device)
     environment.step(actions)
     _finish(device)
     build = time.perf_counter() - began
 
     def restart() -> None:
-        environment.reset(torch.ones(num_envs, dtype=torch.bool, device=device))
+        environment.restart(environment.frequency)
 
     def rate(make_step: Callable[[], Callable[[], object]]) -> float:
         return num_envs * _calls_per_second(restart, make_step, options.seconds, device)
 
-    zeros = torch.zeros_like(actions)
     around = rate(lambda: lambda: environment.step(actions))
-    alone = rate(lambda: lambda: engine.step(environment._target, environment._target_velocity, zeros))
+    command = environment.control.command(0.0 * actions, engine.state)
+    alone = rate(lambda: lambda: engine.step(*command))
     bare_loop = getattr(engine, "bare_loop", None)
     bare = None if bare_loop is None else rate(bare_loop)
     restart()
     learning = _learning_rate(environment, options.iterations)
-    return Rates(name, num_envs, build, bare, alone, around, learning, _buffers(engine))
+    return Rates(name, task.name, num_envs, build, bare, alone, around, learning, _buffers(engine))
 
 
 def _learning_rate(environment: Environment, iterations: int) -> float | None:
@@ -143,22 +142,34 @@ def _buffers(engine: Engine) -> str:
 
 def table(rows: list[Rates]) -> str:
     """The rates as a Markdown table."""
-    head = ("engine", "environments", "first step [s]", "bare loop", "engine", "environment", "outside", "learning")
+    head = (
+        "engine",
+        "task",
+        "environments",
+        "first step [s]",
+        "bare loop",
+        "engine",
+        "environment",
+        "outside",
+        "learning",
+    )
     cells = [(*head, "buffers"), ("---",) * (len(head) + 1)]
     for row in rows:
         bare = "-" if row.bare is None else f"{row.bare:,.0f} ({row.engine_alone / row.bare:.0%})"
         learning = "-" if row.learning is None else f"{row.learning:,.0f}"
         rates = (bare, f"{row.engine_alone:,.0f}", f"{row.environment:,.0f}", f"{row.outside_physics:.0%}", learning)
-        cells.append((row.engine, str(row.num_envs), f"{row.build:.1f}", *rates, row.buffers))
+        cells.append((row.engine, row.task, str(row.num_envs), f"{row.build:.1f}", *rates, row.buffers))
     return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
 
 def benchmark(options: BenchmarkOptions) -> list[Rates]:
-    """Measure all engines and numbers of environments asked for, and print the table.
+    """Measure all engines, tasks and numbers of environments asked for, and print the table.
 
     Raises:
         UserError: An option cannot be met.
     """
+    if not options.tasks:
+        raise UserError("--tasks is empty; give at least one")
     if not options.num_envs or min(options.num_envs) < 1:
         raise UserError(f"--num-envs is {options.num_envs}; give positive numbers")
     if not 0.0 < options.seconds < float("inf"):
@@ -166,8 +177,14 @@ def benchmark(options: BenchmarkOptions) -> list[Rates]:
     device = resolve_device(options.device)
     names = options.engines or (("newton",) if device.type == "cuda" else tuple(ENGINES))
     where = torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU, {torch.get_num_threads()} threads"
-    rows = [measure(options, name, num_envs, device) for name in names for num_envs in options.num_envs]
-    print(f"Control steps per second, task {options.task}, {where}; in brackets: engine as a share of the bare loop.")
+    tasks = [get_task(name) for name in options.tasks]
+    rows = [
+        measure(options, name, task, num_envs, device)
+        for name in names
+        for num_envs in options.num_envs
+        for task in tasks
+    ]
+    print(f"Control steps per second, {where}; in brackets: engine as a share of the bare loop.")
     print(table(rows))
     return rows
 

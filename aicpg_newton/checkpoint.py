@@ -80,12 +80,13 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def without_optimiser(content: dict[str, Any]) -> dict[str, Any]:
-    """A checkpoint's content at a third of its size: it can be played and judged, not resumed.
+    """A checkpoint's content at a third of its size, actor and critic alone: it can be played and judged, not resumed.
 
     Args:
         content: What :func:`read` returned.
     """
-    algorithm = {name: state for name, state in content["algorithm"].items() if name != "optimizer_state_dict"}
+    networks = ("actor_state_dict", "critic_state_dict")
+    algorithm = {name: content["algorithm"][name] for name in networks}
     return {**content, "algorithm": algorithm}
 
 

@@ -134,6 +134,17 @@ class PatternNetwork(nn.Module):
         """Target joint angles theta_t = S(w) [rad], shape [..., 50] to [..., 28]."""
         return self.layers(window)
 
+    def gait(self, name: str) -> Gait:
+        """The gait of that name, ``walk`` or ``run``.
+
+        Raises:
+            UserError: The network was fitted on no such gait.
+        """
+        known = {gait.name: gait for gait in self.gaits}
+        if name not in known:
+            raise UserError(f"the pattern network has no gait {name!r}; give one of {', '.join(known)}")
+        return known[name]
+
     def target(self, phase: torch.Tensor, frequency: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Target angles now and their rate over the coming control step.
 

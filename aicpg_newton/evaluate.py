@@ -11,8 +11,9 @@ import tyro
 from aicpg_newton import checkpoint
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.evaluation import figures, records
-from aicpg_newton.evaluation.protocols import PROTOCOLS
-from aicpg_newton.evaluation.run import Controller, Laboratory, cpg_alone, evaluate, trained
+from aicpg_newton.evaluation.controllers import Controller, cpg_alone, trained
+from aicpg_newton.evaluation.protocols import PROTOCOLS, TERRAIN_SEEDS
+from aicpg_newton.evaluation.run import Laboratory, evaluate
 from tasks import get_task
 
 
@@ -23,7 +24,7 @@ class EvaluateOptions:
     out: Path
     """Folder for CSV, JSON and PNG files. Results in it are never overwritten; figures are drawn anew."""
     checkpoint: tuple[Path, ...] = ()
-    """model_*.pt files or run folders, one for each seed and method; the task's shipped checkpoint if none is given."""
+    """model_*.pt files or run folders, one for each training; the task's shipped checkpoint if none is given."""
     agent: Literal["policy", "zero"] = "policy"
     """policy: the trained network; zero: the CPG alone."""
     task: str | None = None
@@ -34,8 +35,10 @@ class EvaluateOptions:
     """auto, cpu or cuda:N."""
     num_envs: int = 64
     """Number of environments, shared out evenly among the frequencies."""
-    protocol: Literal["sweep", "disturbance", "transition", "command", "all"] = "all"
-    """What to do; command runs the sweep first where the folder holds none."""
+    protocol: Literal["sweep", "disturbance", "transition", "command", "terrain", "training", "all"] = "all"
+    """What to do. command needs a sweep, training run folders, terrain uneven ground; all: all but training."""
+    terrain_seed: tuple[int, ...] = ()
+    """Seeds of uneven ground (terrain: all of them, other protocols: the first); 1001 to 1005 if none is given."""
     seed: int = 0
     """Seed of start states and pushes."""
     redraw: tuple[Path, ...] = ()
@@ -53,9 +56,19 @@ def main(options: EvaluateOptions) -> None:
         records.make_folder(options.out)
     else:
         folders = [options.out]
-        protocols = [each for name, each in PROTOCOLS.items() if options.protocol in (name, "all")]
-        laboratory = Laboratory(options.num_envs, options.engine, options.device, options.seed, show=True)
-        evaluate(protocols, _controllers(options), laboratory, options.out)
+        controllers = _controllers(options)
+        uneven = any(controller.task.ground.uneven for controller in controllers)
+        if options.terrain_seed and not uneven:
+            raise UserError("the ground is a plane; leave --terrain-seed out, or give --task uneven")
+        protocols = [
+            each
+            for name, each in PROTOCOLS.items()
+            if options.protocol == name
+            or (options.protocol == "all" and not each.whole_training and (uneven or not each.every_terrain))
+        ]
+        seeds = options.terrain_seed or TERRAIN_SEEDS
+        laboratory = Laboratory(options.num_envs, options.engine, options.device, options.seed, True, seeds)
+        evaluate(protocols, controllers, laboratory, options.out)
     for path in figures.draw_all(folders, options.out):
         print(f"Figure: {path}")
 

@@ -8,7 +8,8 @@ Everything else in the package speaks of joints in the order of :data:`JOINT_NAM
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import torch
@@ -138,6 +139,16 @@ def motors(groups: dict[str, JointGroup] | None = None) -> Motors:
     )
 
 
+def torque_motors() -> Motors:
+    """The same motors as sources of torque: nearly no position gain, no velocity gain.
+
+    Engines give a torque by shifting the position target by torque / Kp, so Kp must not be zero; 0.01 N m/rad adds less
+    than 0.03 N m over any joint's range.
+    """
+    table = {name: replace(group, position_gain=0.01, velocity_gain=0.0) for name, group in JOINT_GROUPS.items()}
+    return motors(table)
+
+
 def version() -> str:
     """Fingerprint of the robot (geometry and motor table), stored in checkpoints: 12 hexadecimal digits."""
     facts = MJCF_PATH.read_bytes() + repr((JOINT_NAMES, JOINT_GROUPS)).encode()
@@ -158,6 +169,32 @@ MIRROR_SIGN = tuple(-1.0 if name.endswith(("_x", "_z")) else 1.0 for name in JOI
 
 LINK_MIRROR_PERMUTATION = tuple(LINK_NAMES.index(_mirrored(name)) for name in LINK_NAMES)
 """The same for links: position ``mirrored[i] = (x, -y, z)`` of ``original[permutation[i]]``."""
+
+
+MIRROR_VECTOR, MIRROR_AXIAL = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0)
+"""Signs of positions, velocities and forces, and of angular velocities and moments, reflecting y -> -y."""
+
+MIRROR_SIDES = (3, 4, 5, 0, 1, 2)
+"""Permutation of a vector of the right side and one of the left."""
+
+
+def mirror_blocks(
+    blocks: Sequence[tuple[str, int]], maps: Mapping[str, tuple[tuple[int, ...], tuple[float, ...]]]
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Permutation and sign of quantities put one behind the other, under a reflection y -> -y.
+
+    Args:
+        blocks: Name and size of each block, in order.
+        maps: Permutation and sign within the blocks that are not joint quantities.
+    """
+    permutation: list[int] = []
+    sign: list[float] = []
+    for name, _ in blocks:
+        block_permutation, block_sign = maps.get(name, (MIRROR_PERMUTATION, MIRROR_SIGN))
+        start = len(permutation)
+        permutation += [start + index for index in block_permutation]
+        sign += block_sign
+    return tuple(permutation), tuple(sign)
 
 
 def mirror_joints(values: torch.Tensor) -> torch.Tensor:

@@ -96,6 +96,39 @@ def skeleton() -> Skeleton:
     )
 
 
+@dataclass(frozen=True)
+class _Tree:
+    """The kinematic tree level by level, as tensors of one device and type."""
+
+    axes: torch.Tensor
+    slots: torch.Tensor
+    """Hinges of each link, outermost first, filled up with 28, which turns nothing; shape [13, 3]."""
+    levels: tuple[tuple[torch.Tensor, torch.Tensor, torch.Tensor], ...]
+    """Below the root: links of a level, their parents' places in the level above, and their offsets [m]."""
+    place: torch.Tensor
+    """Where each link stands when the levels are put one behind the other, shape [13]."""
+
+
+@cache
+def _tree(device: torch.device, dtype: torch.dtype) -> _Tree:
+    tree = skeleton()
+    slots = [(*joints, *(NUM_JOINTS,) * (3 - len(joints))) for joints in tree.joints]
+    levels, level = [], [0]
+    order = [0]
+    while children := [link for link, parent in enumerate(tree.parents) if parent in level]:
+        above = [level.index(tree.parents[link]) for link in children]
+        offsets = tree.offsets[children].to(device, dtype)
+        levels.append((torch.tensor(children, device=device), torch.tensor(above, device=device), offsets))
+        order += children
+        level = children
+    return _Tree(
+        axes=tree.axes.to(device, dtype),
+        slots=torch.tensor(slots, device=device),
+        levels=tuple(levels),
+        place=torch.argsort(torch.tensor(order, device=device)),
+    )
+
+
 def forward_kinematics(
     root_position: torch.Tensor,
     root_rotation: torch.Tensor,
@@ -108,39 +141,45 @@ def forward_kinematics(
         root_position: Pelvis frame's origin in the world [m], shape [..., 3].
         root_rotation: Pelvis rotation (x, y, z, w), shape [..., 4].
         joint_position: Joint angles [rad] in the order of :data:`JOINT_NAMES`, shape [..., 28].
-        links: Links wanted; the others are left out of the work where nothing wanted hangs on them.
+        links: Links wanted.
 
     Returns:
         Link origins [m], shape [..., len(links), 3], and link rotations (x, y, z, w), shape [..., len(links), 4].
     """
-    tree = skeleton()
-    offsets, axes = tree.offsets.to(joint_position), tree.axes.to(joint_position)
-    hinges = rotations.about_axis(axes.expand(*joint_position.shape, 3), joint_position)
-    poses = {0: (root_position, root_rotation)}
+    tree = _tree(joint_position.device, joint_position.dtype)
+    hinges = rotations.about_axis(tree.axes.expand(*joint_position.shape, 3), joint_position)
+    still = hinges.new_tensor((0.0, 0.0, 0.0, 1.0)).expand(*hinges.shape[:-2], 1, 4)
+    # All links of a level at once: the cost is in the number of operations, not in their size.
+    outer, middle, inner = torch.cat((hinges, still), dim=-2)[..., tree.slots, :].unbind(dim=-2)
+    turns = rotations.multiply(rotations.multiply(outer, middle), inner)
+    position, rotation = root_position.unsqueeze(-2), root_rotation.unsqueeze(-2)
+    positions, orientations = [position], [rotation]
+    for level, above, offsets in tree.levels:
+        position, rotation = position[..., above, :], rotation[..., above, :]
+        position = position + rotations.rotate(rotation, offsets.expand_as(position))
+        rotation = rotations.multiply(rotation, turns[..., level, :])
+        positions.append(position)
+        orientations.append(rotation)
+    wanted = tree.place[[LINK_NAMES.index(name) for name in links]]
+    return torch.cat(positions, dim=-2)[..., wanted, :], torch.cat(orientations, dim=-2)[..., wanted, :]
 
-    def pose(link: int) -> tuple[torch.Tensor, torch.Tensor]:
-        if link not in poses:
-            position, rotation = pose(tree.parents[link])
-            position = position + rotations.rotate(rotation, offsets[link].expand_as(position))
-            for joint in tree.joints[link]:
-                rotation = rotations.multiply(rotation, hinges[..., joint, :])
-            poses[link] = (position, rotation)
-        return poses[link]
 
-    wanted = [pose(LINK_NAMES.index(name)) for name in links]
-    return torch.stack([each[0] for each in wanted], dim=-2), torch.stack([each[1] for each in wanted], dim=-2)
+def sole_corners(
+    root_position: torch.Tensor, root_rotation: torch.Tensor, joint_position: torch.Tensor
+) -> torch.Tensor:
+    """World positions [m] of the sole corners, shape [..., 2, 4, 3] (right, left); arguments as above."""
+    positions, orientations = forward_kinematics(root_position, root_rotation, joint_position, FOOT_NAMES)
+    corners = skeleton().sole_corners.to(joint_position)
+    corners = corners.expand(*joint_position.shape[:-1], *corners.shape)
+    rotation = orientations.unsqueeze(-2).expand(*corners.shape[:-1], 4)
+    return positions.unsqueeze(-2) + rotations.rotate(rotation, corners)
 
 
 def sole_heights(
     root_position: torch.Tensor, root_rotation: torch.Tensor, joint_position: torch.Tensor
 ) -> torch.Tensor:
     """World height [m] of the lowest sole corner of each foot, shape [..., 2] (right, left); arguments as above."""
-    positions, orientations = forward_kinematics(root_position, root_rotation, joint_position, FOOT_NAMES)
-    corners = skeleton().sole_corners.to(joint_position)
-    corners = corners.expand(*joint_position.shape[:-1], *corners.shape)
-    rotation = orientations.unsqueeze(-2).expand(*corners.shape[:-1], 4)
-    world = positions.unsqueeze(-2) + rotations.rotate(rotation, corners)
-    return world[..., 2].amin(dim=-1)
+    return sole_corners(root_position, root_rotation, joint_position)[..., 2].amin(dim=-1)
 
 
 def centre_of_mass(

@@ -14,6 +14,7 @@ import torch
 from aicpg_newton import rotations
 from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE
 from aicpg_newton.humanoid import GRAVITY, JOINT_NAMES, LEG_LENGTH, MIRROR_PERMUTATION, MIRROR_SIGN, TOTAL_MASS
+from aicpg_newton.terrain import Terrain
 
 CONTACT_FORCE = 0.05 * TOTAL_MASS * GRAVITY
 """A foot that carries more than this is on the ground [N]. 5 % of body weight, 24 N: the level used with force plates
@@ -24,6 +25,9 @@ SLOWEST_SPEED = 0.1
 
 SMALLEST_ANGLE = math.radians(1.0)
 """Least denominator of the symmetry index [rad]: joints within a degree of zero are compared with a degree."""
+
+SOLE_GRID = (13, 7)
+"""Points along and across a sole, 15 mm apart: an edge of the terrain between them is missed by a millimetre or two."""
 
 _LONGEST_BOUNCE = 3  # steps in the air (0.05 s) that do not end a stance
 _SHORTEST_STANCE = 6  # steps on the ground (0.1 s); less is a scuff of the swinging foot
@@ -151,6 +155,47 @@ def symmetry_index(joint_position: torch.Tensor, valid: torch.Tensor, lag: torch
 def feet_on_ground(foot_force: torch.Tensor) -> torch.Tensor:
     """Whether each foot bears more than :data:`CONTACT_FORCE`, shape [..., 2, 3] [N] to [..., 2]."""
     return foot_force[..., 2] > CONTACT_FORCE
+
+
+def sole_clearance(corners: torch.Tensor, terrain: Terrain | None) -> torch.Tensor:
+    """Height of a sole's lowest point above the ground [m], negative where the sole is in it.
+
+    Heights are compared at :data:`SOLE_GRID` points all over the sole: an edge of the terrain may come up in the middle
+    of a foot whose corners are clear of it.
+
+    Args:
+        corners: World positions of the sole's corners [m], heel right, heel left, toe right, toe left, as from
+            :func:`kinematics.sole_corners`, shape [..., 4, 3].
+        terrain: The ground; None for the plane at height 0.
+
+    Returns:
+        Shape [...].
+    """
+    along, across = (torch.linspace(0.0, 1.0, count).to(corners) for count in SOLE_GRID)
+    share = torch.stack((1.0 - along, along), dim=1)[:, None, :, None]
+    share = share * torch.stack((1.0 - across, across), dim=1)[None, :, None, :]
+    points = torch.einsum("pc,...ck->...pk", share.flatten(2).flatten(0, 1), corners)
+    ground = 0.0 if terrain is None else terrain.height(points)
+    return (points[..., 2] - ground).amin(dim=-1)
+
+
+def sole_penetration(
+    clearance: torch.Tensor, contact: torch.Tensor, valid: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """How deep feet in contact are in the ground and how high they are above it [m]; 0 and 0 look right.
+
+    Args:
+        clearance: :func:`sole_clearance` of both feet [m], shape [time, num_envs, 2].
+        contact: Whether each foot is on the ground, bool, shape [time, num_envs, 2].
+        valid: Steps that count, shape [time, num_envs].
+
+    Returns:
+        Mean depth of the deepest point, and mean height of the lowest, over both feet and all steps in which they are
+        in contact, each of shape [num_envs]; NaN where no foot ever is.
+    """
+    known = (contact & valid.unsqueeze(2)).transpose(1, 2).flatten(0, 1)
+    gap = clearance.transpose(1, 2).flatten(0, 1)
+    return masked_mean((-gap).clamp_min(0.0), known), masked_mean(gap.clamp_min(0.0), known)
 
 
 def touch_downs(contact: torch.Tensor) -> torch.Tensor:

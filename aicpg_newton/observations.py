@@ -1,4 +1,4 @@
-"""The 192 numbers the reflex network sees, as a pure function of the state, and their left-right mirror image."""
+"""What the reflex network sees, as a pure function of the state, and its left-right mirror image."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ import torch
 
 from aicpg_newton import rotations
 from aicpg_newton.engines.interface import RobotState
-from aicpg_newton.humanoid import GRAVITY, MIRROR_PERMUTATION, MIRROR_SIGN, NUM_JOINTS, TOTAL_MASS
+from aicpg_newton.humanoid import (
+    GRAVITY,
+    MIRROR_AXIAL,
+    MIRROR_SIDES,
+    MIRROR_VECTOR,
+    NUM_JOINTS,
+    TOTAL_MASS,
+    mirror_blocks,
+)
 
 BLOCKS = (
     ("root_height", 1),
@@ -28,7 +36,7 @@ BLOCKS = (
 """Name and size of each block, in order."""
 
 NUM_OBSERVATIONS = sum(size for _, size in BLOCKS)
-"""192 (paper, Sec. II-A.2)."""
+"""192 (paper, Sec. II-A.2); the baselines have no ``target`` and ``cpg_torque`` and see 136."""
 
 BODY_WEIGHT = TOTAL_MASS * GRAVITY
 """Unit of foot forces [N]."""
@@ -40,11 +48,11 @@ FOOT_LEVER = 0.1
 def observe(
     state: RobotState,
     *,
-    target: torch.Tensor,
-    cpg_torque: torch.Tensor,
-    reflex_torque: torch.Tensor,
+    ground_height: torch.Tensor | float = 0.0,
+    torque: torch.Tensor,
     torque_limit: torch.Tensor,
     target_heading: torch.Tensor,
+    control: tuple[torch.Tensor, ...],
 ) -> torch.Tensor:
     """Observations of the reflex network (paper, Sec. II-A.2).
 
@@ -53,33 +61,41 @@ def observe(
 
     Args:
         state: Robot state after the last control step.
-        target: Target angles theta_t [rad], shape [num_envs, 28].
-        cpg_torque: tau_g of Eq. 4 at this instant [N m], shape [num_envs, 28].
-        reflex_torque: tau_r of the last step [N m], shape [num_envs, 28].
+        ground_height: World height of the ground below the pelvis [m], shape [num_envs].
+        torque: tau_r of the last step [N m], shape [num_envs, 28].
         torque_limit: Torque limit per joint [N m], shape [28]; torques are given in units of it.
         target_heading: Yaw of the target direction in the world [rad], shape [num_envs].
+        control: What the way of control adds: for AI-CPG theta_t [rad] and tau_g in units of the limit, each of shape
+            [num_envs, 28]; for the baselines nothing.
 
     Returns:
-        Observations, shape [num_envs, 192], in the order of :data:`BLOCKS`.
+        Observations in the order of :data:`BLOCKS`: shape [num_envs, 192], or the first 136 without the CPG.
     """
     roll, pitch, yaw = rotations.roll_pitch_yaw(state.root_rotation)
-    to_heading = rotations.about_z(-yaw)
     angle_to_target = torch.remainder(target_heading - yaw + torch.pi, 2 * torch.pi) - torch.pi
-    per_foot = to_heading.unsqueeze(1).expand(-1, 2, 4)
+    # All vectors at once: on a CPU the number of operations costs more than their size.
+    vectors = torch.cat(
+        (
+            state.root_linear_velocity.unsqueeze(1),
+            state.root_angular_velocity.unsqueeze(1),
+            state.foot_force / BODY_WEIGHT,
+            state.foot_moment / (BODY_WEIGHT * FOOT_LEVER),
+        ),
+        dim=1,
+    )
+    to_heading = rotations.about_z(-yaw).unsqueeze(1).expand(-1, vectors.shape[1], 4)
+    vectors = rotations.rotate(to_heading, vectors).flatten(1)
+    up = rotations.up_axis(state.root_rotation)[:, 2]
     blocks = (
-        state.root_position[:, 2:],
-        rotations.rotate(to_heading, state.root_linear_velocity),
-        rotations.rotate(to_heading, state.root_angular_velocity),
-        torch.stack((pitch, roll, angle_to_target), dim=1),
-        torch.stack((rotations.up_axis(state.root_rotation)[:, 2], torch.cos(angle_to_target)), dim=1),
+        (state.root_position[:, 2] - ground_height).unsqueeze(1),
+        vectors[:, :6],
+        torch.stack((pitch, roll, angle_to_target, up, torch.cos(angle_to_target)), dim=1),
         state.joint_position,
         state.joint_velocity,
         state.joint_torque / torque_limit,
-        rotations.rotate(per_foot, state.foot_force).flatten(1) / BODY_WEIGHT,
-        rotations.rotate(per_foot, state.foot_moment).flatten(1) / (BODY_WEIGHT * FOOT_LEVER),
-        reflex_torque / torque_limit,
-        target,
-        cpg_torque / torque_limit,
+        vectors[:, 6:],
+        torque / torque_limit,
+        *control,
     )
     return torch.cat(blocks, dim=1)
 
@@ -87,28 +103,20 @@ def observe(
 @cache
 def _mirror_map() -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Permutation and sign of all observations under a reflection y -> -y, which swaps right and left."""
-    vector, axial, feet = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (3, 4, 5, 0, 1, 2)
-    joints = (MIRROR_PERMUTATION, MIRROR_SIGN)
     maps = {
         "root_height": ((0,), (1.0,)),
-        "linear_velocity": ((0, 1, 2), vector),
-        "angular_velocity": ((0, 1, 2), axial),
+        "linear_velocity": ((0, 1, 2), MIRROR_VECTOR),
+        "angular_velocity": ((0, 1, 2), MIRROR_AXIAL),
         "pitch_roll_target": ((0, 1, 2), (1.0, -1.0, -1.0)),
         "up_and_heading": ((0, 1), (1.0, 1.0)),
-        "foot_force": (feet, vector * 2),
-        "foot_moment": (feet, axial * 2),
+        "foot_force": (MIRROR_SIDES, MIRROR_VECTOR * 2),
+        "foot_moment": (MIRROR_SIDES, MIRROR_AXIAL * 2),
     }
-    permutation: list[int] = []
-    sign: list[float] = []
-    for name, _ in BLOCKS:
-        block_permutation, block_sign = maps.get(name, joints)
-        start = len(permutation)
-        permutation += [start + index for index in block_permutation]
-        sign += block_sign
-    return tuple(permutation), tuple(sign)
+    return mirror_blocks(BLOCKS, maps)
 
 
 def mirror(observations: torch.Tensor) -> torch.Tensor:
-    """Left-right mirror image of observations, shape [..., 192]; mirroring twice is the identity."""
+    """Left-right mirror image of observations, shape [..., 192 or 136]; mirroring twice is the identity."""
     permutation, sign = _mirror_map()
-    return observations[..., list(permutation)] * observations.new_tensor(sign)
+    size = observations.shape[-1]  # without the CPG the observations are the first blocks
+    return observations[..., list(permutation[:size])] * observations.new_tensor(sign[:size])

@@ -11,6 +11,8 @@ import yaml
 from aicpg_newton import checkpoint
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.humanoid import ASSETS
+from aicpg_newton.methods import run_name
+from aicpg_newton.task import task_from_dict
 
 
 @dataclass(kw_only=True)
@@ -20,7 +22,7 @@ class PublishOptions:
     checkpoint: Path
     """model_*.pt in a run folder, or the run folder for its latest."""
     out: Path = ASSETS / "policies"
-    """Folder to write <task>.pt and <task>.yaml into."""
+    """Folder to write <task>.pt and <task>.yaml into; a baseline's names go on with method and condition."""
 
 
 def publish(options: PublishOptions) -> Path:
@@ -36,7 +38,7 @@ def publish(options: PublishOptions) -> Path:
     config = yaml.safe_load((folder / "config.yaml").read_text())
     config["trained"] = {"iterations": content["iteration"], "samples": content["samples"]}
     options.out.mkdir(parents=True, exist_ok=True)
-    target = options.out / f"{content['task']['name']}.pt"
+    target = options.out / f"{run_name(task_from_dict(content['task'], str(options.checkpoint)))}.pt"
     checkpoint.save(checkpoint.without_optimiser(content), target)
     target.with_suffix(".yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     print(f"wrote {target} and {target.with_suffix('.yaml')}")

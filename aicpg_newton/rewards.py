@@ -18,13 +18,14 @@ VELOCITY_SCALE = 0.1
 """Scale of joint velocities in R_e [s/rad], as in the Isaac Gym humanoid."""
 
 
-def head_height(head_position: torch.Tensor) -> torch.Tensor:
-    """R_h: height of the head's centre above the ground [m].
+def head_height(head_position: torch.Tensor, ground_height: torch.Tensor | float = 0.0) -> torch.Tensor:
+    """R_h: height of the head's centre above the ground below it [m].
 
     Args:
         head_position: World position of the head's centre [m], shape [num_envs, 3].
+        ground_height: World height of the ground below it [m], shape [num_envs].
     """
-    return head_position[:, 2]
+    return head_position[:, 2] - ground_height
 
 
 def reflex_energy(
@@ -94,3 +95,16 @@ def pattern_tracking(error: torch.Tensor, bound: float) -> torch.Tensor:
         bound: b [rad].
     """
     return (1.0 - error / bound).clamp_min(0.0)
+
+
+def target_speed(speed: torch.Tensor, wanted: float) -> torch.Tensor:
+    """R_t of the PPO baseline: 1 at the wanted speed, falling straight to 0 at standstill and at twice that speed.
+
+    The paper (Sec. III-A) says only that R_t sets the target velocity; this is the form of its R_g (Eq. 8) with the
+    error of the speed for e and the wanted speed for b. Weighted like R_g it outweighs R_d, which always asks for more.
+
+    Args:
+        speed: Velocity along the target direction [m/s], shape [num_envs].
+        wanted: Target speed [m/s].
+    """
+    return (1.0 - (speed - wanted).abs() / wanted).clamp_min(0.0)

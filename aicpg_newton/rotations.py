@@ -25,6 +25,15 @@ def rotate(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
     return v + w * t + torch.linalg.cross(u, t)
 
 
+def angular_velocity(before: torch.Tensor, after: torch.Tensor, duration: float) -> torch.Tensor:
+    """Mean angular velocity [rad/s] of a small turn from one rotation to another, shapes [..., 4] to [..., 3].
+
+    In the frame that the rotations are given in; the angle is taken as twice the sine of its half.
+    """
+    turn = multiply(after, conjugate(before))
+    return 2.0 * torch.sign(turn[..., 3:]) * turn[..., :3] / duration
+
+
 def about_axis(axis: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
     """Rotation by angle [rad] about a unit axis, shapes [..., 3] and [...]."""
     half = 0.5 * angle.unsqueeze(-1)
@@ -43,8 +52,7 @@ def roll_pitch_yaw(q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.T
     x, y, z, w = q.unbind(-1)
     roll = torch.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = torch.asin((2 * (w * y - z * x)).clamp(-1.0, 1.0))
-    yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return roll, pitch, yaw
+    return roll, pitch, yaw(q)
 
 
 def from_roll_pitch_yaw(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
@@ -63,4 +71,11 @@ def about_z(angle: torch.Tensor) -> torch.Tensor:
 
 def up_axis(q: torch.Tensor) -> torch.Tensor:
     """The body's z axis in the world, shape [..., 3]."""
-    return rotate(q, q.new_tensor((0.0, 0.0, 1.0)).expand(*q.shape[:-1], 3))
+    x, y, z, w = q.unbind(-1)
+    return torch.stack((2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)), dim=-1)
+
+
+def yaw(q: torch.Tensor) -> torch.Tensor:
+    """Third of :func:`roll_pitch_yaw`, shape [...]."""
+    x, y, z, w = q.unbind(-1)
+    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -9,13 +9,14 @@ import dataclasses
 import math
 import typing
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from aicpg_newton.engines.interface import Physics
 from aicpg_newton.errors import UserError
 from aicpg_newton.rewards import PatternError
+from aicpg_newton.terrain import Ground
 
 
 @dataclass(kw_only=True)
@@ -44,6 +45,8 @@ class RewardWeights:
     """R_d, velocity in the target direction [m/s]."""
     pattern_tracking: float = 5.0
     """beta R_g, following the CPG."""
+    target_speed: float = 5.0
+    """beta R_t, which the PPO baseline has in place of R_g."""
     sideways_speed: float = -0.5
     """Cost on sideways speed [m/s]; not in the paper (0 there), keeps the path straight."""
 
@@ -116,6 +119,8 @@ class Learning:
     """Activation function (paper: ReLU)."""
     initial_std: float = 0.4
     """Standard deviation of the actions at the start."""
+    learn_std: bool = True
+    """Learn the standard deviation; otherwise it stays as it is at the start."""
     steps_per_iteration: int = 32
     """Control steps per environment and iteration."""
     epochs: int = 5
@@ -123,7 +128,9 @@ class Learning:
     minibatches: int = 8
     """Minibatches per pass."""
     learning_rate: float = 1e-3
-    """Learning rate at the start; adapted to the KL divergence."""
+    """Learning rate, or that at the start if it is adaptive."""
+    adaptive_learning_rate: bool = True
+    """Adapt the learning rate to the KL divergence."""
     desired_kl: float = 0.015
     """KL divergence the learning rate is adapted to."""
     discount: float = 0.99
@@ -145,11 +152,47 @@ class Learning:
 
 
 @dataclass(kw_only=True)
+class Imitation:
+    """The discriminator of the AMP baseline (Peng et al. 2021), with the values published for this humanoid."""
+
+    discriminator_hidden_sizes: tuple[int, ...] = (1024, 512)
+    """Its hidden layers."""
+    discriminator_learning_rate: float = 5e-5
+    """Its learning rate."""
+    discriminator_batch: int = 512
+    """Pairs of states drawn for each of its updates, as many as PPO's, from the reference, from this iteration and from
+    the replay buffer, each. Published: 4096, with fewer updates."""
+    gradient_penalty: float = 5.0
+    """Weight of the squared gradient at the reference."""
+    logit_regularisation: float = 0.05
+    """Weight of the sum of squares of its last layer's weights."""
+    weight_decay: float = 1e-4
+    """Weight of the sum of squares of all its weights."""
+    replay_size: int = 10_000
+    """Pairs in the replay buffer, which is part of every checkpoint: 6.5 MB. Published: 1,000,000."""
+    replay_keep: float = 0.01
+    """Share of an iteration's pairs that goes into a replay buffer that is full."""
+    style_reward_scale: float = 2.0
+    """The style reward lies between 0 and this."""
+    style_reward_weight: float = 0.1
+    """Weight of the style reward in the whole reward. Published: 1, with normalised values."""
+    task_reward_weight: float = 0.0
+    """Weight of the environment's own reward."""
+
+
+@dataclass(kw_only=True)
 class Task:
     """One task: ground, commands, rewards, resets and the learning that goes with them."""
 
     name: Annotated[str, tyro.conf.Suppress]
     """Name in the registry ``tasks/__init__.py``."""
+    method: Annotated[str, tyro.conf.Suppress] = "ai-cpg"
+    """Name in the registry ``aicpg_newton/methods.py``."""
+    target_speed: float = 1.5
+    """Speed that the PPO baseline is to reach [m/s]; the paper's are 1.5, 2.0, 2.5, 3.0, 3.5 and 4.0."""
+    reference: Literal["walk", "run"] = "walk"
+    """Gait that the AMP baseline imitates."""
+    ground: Ground = field(default_factory=Ground)
     frequencies: Frequencies = field(default_factory=Frequencies)
     reflex: Reflex = field(default_factory=Reflex)
     rewards: Rewards = field(default_factory=Rewards)
@@ -158,6 +201,7 @@ class Task:
     pushes: Pushes = field(default_factory=Pushes)
     physics: Physics = field(default_factory=Physics)
     learning: Learning = field(default_factory=Learning)
+    imitation: Imitation = field(default_factory=Imitation)
 
     def validate(self) -> None:
         """Refuse settings that cannot be run.
@@ -169,12 +213,14 @@ class Task:
             if not math.isfinite(value):
                 raise UserError(f"{name} is {value}; give a finite number")
         self.physics.validate()
+        self.ground.validate()
         if not 0 < self.frequencies.minimum <= self.frequencies.maximum:
             raise UserError(
                 f"frequencies run from {self.frequencies.minimum} to {self.frequencies.maximum} Hz;"
                 " give a positive minimum no larger than the maximum"
             )
         positive = {
+            "target_speed": self.target_speed,
             "reflex.torque_share": self.reflex.torque_share,
             "rewards.pattern_error_bound": self.rewards.pattern_error_bound,
             "termination.episode_steps": self.termination.episode_steps,
@@ -186,6 +232,9 @@ class Task:
             "learning.minibatches": self.learning.minibatches,
             "learning.save_interval": self.learning.save_interval,
             "learning.hidden_sizes": min(self.learning.hidden_sizes, default=0),
+            "imitation.discriminator_hidden_sizes": min(self.imitation.discriminator_hidden_sizes, default=0),
+            "imitation.discriminator_batch": self.imitation.discriminator_batch,
+            "imitation.replay_size": self.imitation.replay_size,
         }
         for name, value in positive.items():
             if value <= 0:
@@ -207,23 +256,30 @@ def _numbers(settings: Any, prefix: str = "") -> list[tuple[str, float]]:
 def task_from_dict(content: Any, source: str) -> Task:
     """Rebuild a task from ``dataclasses.asdict``, as stored in checkpoints.
 
+    Settings that a checkpoint does not know yet take their defaults: a new setting's default is what was done before.
+
     Args:
         content: Nested dictionary.
         source: Where it comes from, for messages.
 
     Raises:
-        UserError: A setting is unknown or missing, or has the wrong kind of value.
+        UserError: A setting is unknown, or has the wrong kind of value.
     """
     return _from_dict(Task, content, source)
 
 
+def _has_no_default(setting: dataclasses.Field) -> bool:
+    return setting.default is dataclasses.MISSING and setting.default_factory is dataclasses.MISSING
+
+
 def _from_dict(kind: type, content: Any, source: str) -> Any:
     names = {each.name for each in dataclasses.fields(kind)}
-    if not isinstance(content, dict) or set(content) != names:
-        given = set(content) if isinstance(content, dict) else set()
-        different = ", ".join(sorted(given ^ names)) or "none"
+    given = set(content) if isinstance(content, dict) else None
+    required = {each.name for each in dataclasses.fields(kind) if _has_no_default(each)}
+    if given is None or not required <= given <= names:
+        different = ", ".join(sorted((given or set()) - names | required - (given or set())))
         raise UserError(
-            f"{source} holds settings of another version ({kind.__name__}: {different});"
+            f"{source} holds settings of another version ({kind.__name__}: {different or 'no settings'});"
             " use the version of the code that wrote it"
         )
     hints = typing.get_type_hints(kind)
@@ -234,6 +290,8 @@ def _from_dict(kind: type, content: Any, source: str) -> Any:
             value = _from_dict(typing.cast(type, hint), value, source)
         elif typing.get_origin(hint) is tuple:
             value = tuple(value)
+        elif typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
+            raise UserError(f"{source} holds {value!r} for {name}; it should be one of {typing.get_args(hint)}")
         elif hint in (int, float, bool, str) and not isinstance(value, (int, float) if hint is float else hint):
             raise UserError(f"{source} holds {value!r} for {name}; it should be of type {hint.__name__}")
         values[name] = value

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from aicpg_newton.errors import UserError
 from aicpg_newton.task import Task
 from tasks.flat import flat
+from tasks.uneven import uneven
 
-TASKS: dict[str, Callable[[], Task]] = {"flat": flat}
+TASKS: dict[str, Callable[[], Task]] = {"flat": flat, "uneven": uneven}
 
 
 def get_task(name: str) -> Task:

@@ -10,6 +10,7 @@ import torch
 from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.engines import RobotState
 from aicpg_newton.humanoid import MJCF_PATH, NUM_JOINTS
+from aicpg_newton.terrain import Terrain
 
 torch.set_num_threads(1)  # the tensors are small, and threads that wait for one another cost more than they save
 
@@ -19,8 +20,9 @@ class PuppetEngine:
 
     name = "puppet"
 
-    def __init__(self, num_envs: int) -> None:
+    def __init__(self, num_envs: int, terrain: Terrain | None = None) -> None:
         self.num_envs = num_envs
+        self.terrain = terrain
         self.device = torch.device("cpu")
         self.overrides: dict[str, torch.Tensor] = {}
         self.calls: list[dict[str, torch.Tensor | None]] = []

@@ -23,6 +23,9 @@ def call(*arguments: str) -> subprocess.CompletedProcess[str]:
         (["train.py", "--physics.substeps", "3"], "physics.substeps is 3"),
         (["train.py", "--rewards.weights.upright", "nan"], "rewards.weights.upright is nan"),
         (["play.py", "--checkpoint", "nowhere.pt"], "no checkpoint at nowhere.pt"),
+        (["play.py", "--task", "moon"], "unknown task 'moon'"),
+        (["play.py", "--terrain-seed", "3"], "the ground of task 'flat' is a plane"),
+        (["play.py", "--agent", "zero", "--task", "uneven", "--terrain-seed", "-1"], "ground.seed -1"),
     ],
 )
 def test_bad_input(arguments: list[str], message: str):

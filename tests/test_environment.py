@@ -6,10 +6,13 @@ import pytest
 import torch
 
 from aicpg_newton import humanoid, rotations
+from aicpg_newton.control import PatternControl
 from aicpg_newton.cpg import PatternNetwork, advance_phase
-from aicpg_newton.environment import Environment, gait_pose
+from aicpg_newton.environment import Environment
 from aicpg_newton.errors import UserError
-from aicpg_newton.kinematics import sole_heights
+from aicpg_newton.gait import gait_pose
+from aicpg_newton.kinematics import sole_corners, sole_heights
+from aicpg_newton.terrain import Ground, Terrain
 from tasks import get_task
 
 EVERYTHING = ("root_position", "root_rotation", "root_linear_velocity", "root_angular_velocity", "joint_velocity")
@@ -18,7 +21,7 @@ EVERYTHING = ("root_position", "root_rotation", "root_linear_velocity", "root_an
 @pytest.fixture
 def environment(puppet, pattern: PatternNetwork) -> Environment:
     """Six environments on an engine that obeys."""
-    return Environment(get_task("flat"), puppet(6), pattern, humanoid.motors(), seed=3)
+    return Environment(get_task("flat"), puppet(6), pattern, seed=3)
 
 
 def rest(environment: Environment) -> torch.Tensor:
@@ -74,11 +77,12 @@ def test_reward_is_the_weighted_sum_of_the_terms(environment: Environment):
     state = environment.outcome.state
     hat = torch.full((28,), 0.05)
     energy = (hat * 0.1 * state.joint_velocity).abs().sum(1) + (hat**2).sum()
-    error = (environment._target - state.joint_position).abs().sum(1)
+    assert isinstance(environment.control, PatternControl)
+    error = (environment.control.target - state.joint_position).abs().sum(1)
     upright = rotations.up_axis(state.root_rotation)[:, 2]
     expected = 1.5 - 0.5 * energy + 1.0 + upright + 2.0 + 5.0 * (1 - error / 5.0).clamp_min(0) - 0.5 * 0.5
     assert torch.allclose(reward, 0.1 * expected, atol=1e-5)
-    assert set(environment.outcome.reward_terms) == set(vars(environment.task.rewards.weights))
+    assert set(environment.outcome.reward_terms) == set(vars(environment.task.rewards.weights)) - {"target_speed"}
 
 
 @pytest.mark.parametrize(
@@ -191,19 +195,100 @@ def test_start_velocities_are_the_rates_of_the_gait_pose(environment: Environmen
 
 def test_the_same_seed_starts_the_same_way(puppet, pattern: PatternNetwork):
     """Phases and speeds are drawn from the seed alone."""
-    first, second, third = (
-        Environment(get_task("flat"), puppet(4), pattern, humanoid.motors(), seed=seed) for seed in (7, 7, 8)
-    )
+    first, second, third = (Environment(get_task("flat"), puppet(4), pattern, seed=seed) for seed in (7, 7, 8))
     for name in EVERYTHING[:-1]:
         assert torch.equal(first.engine.last_reset[name], second.engine.last_reset[name])  # type: ignore[attr-defined]
     assert not torch.equal(first.phase, third.phase)
+
+
+def hills() -> Terrain:
+    """A small terrain of two levels."""
+    terrain = Terrain.make(Ground(height_range=0.2, length=20.0, width=20.0, levels=2, seed=4))
+    assert terrain is not None
+    return terrain
+
+
+@pytest.fixture
+def on_hills(puppet, pattern: PatternNetwork) -> Environment:
+    """Forty environments on uneven ground."""
+    task = get_task("uneven")
+    terrain = hills()
+    task.ground = terrain.ground
+    return Environment(task, puppet(40, terrain), pattern, seed=3)
+
+
+def test_start_states_stand_on_the_terrain(on_hills: Environment):
+    """No sole corner is below the surface, and each pelvis is as high above it as the gait's, or higher."""
+    start = on_hills.engine.last_reset  # type: ignore[attr-defined]
+    corners = sole_corners(start["root_position"], start["root_rotation"], start["joint_position"]).flatten(1, 2)
+    clearance = (corners[..., 2] - hills().height(corners)).amin(dim=1)
+    assert clearance.min() > -1e-5
+    gait = gait_pose(on_hills.pattern, on_hills.phase, on_hills.frequency).root_position[:, 2]
+    raised = start["root_position"][:, 2] - hills().height(start["root_position"]) - gait
+    assert raised.min() > -1e-5
+    assert raised.max() < 0.1
+    assert (clearance[raised > 1e-4] < 1e-5).all()  # raised no more than needed
+    assert start["root_position"][:, :2].std(dim=0).min() > 0.5  # spread over the first level's start area
+    assert start["root_position"][:, 1].max() < 0.0
+
+
+def test_heights_count_from_the_ground_below(on_hills: Environment):
+    """Lifted with the ground, a robot neither falls nor earns more; sinking towards it, it falls."""
+    engine = on_hills.engine
+    place = torch.tensor([[5.0, y, 0.0] for y in torch.linspace(-8.5, 8.5, 40).tolist()])
+    ground = hills().height(place)
+    assert ground.std() > 0.01
+    upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(40, 4)
+
+    def stand(height: float) -> None:
+        above = torch.stack((place[:, 0], place[:, 1], ground + height), dim=1)
+        head = torch.stack((place[:, 0], place[:, 1], ground + height + 0.6), dim=1)
+        engine.overrides = {"root_position": above, "root_rotation": upright, "head_position": head}  # type: ignore[attr-defined]
+        on_hills.step(rest(on_hills))
+
+    stand(0.9)
+    outcome = on_hills.outcome
+    assert not outcome.fallen.any()
+    assert torch.allclose(outcome.reward_terms["head_height"], torch.full((40,), 0.15), atol=1e-5)
+    assert torch.allclose(on_hills.get_observations()["policy"][:, 0], torch.full((40,), 0.9), atol=1e-5)
+    assert torch.allclose(outcome.ground_height, ground)
+    stand(0.54)
+    assert on_hills.outcome.fallen.all()
+
+
+def test_the_edge_of_the_terrain_ends_an_episode_without_a_fall(on_hills: Environment):
+    """As a time-out, so that its value is bootstrapped."""
+    position = on_hills.engine.state.root_position.clone()
+    position[0, 0], position[1, 1], position[2, 0] = 19.5, 9.5, 0.5
+    position[:, 2] = 1.0
+    on_hills.engine.overrides = {"root_position": position}  # type: ignore[attr-defined]
+    _, _, dones, extras = on_hills.step(rest(on_hills))
+    assert extras["time_outs"].nonzero().flatten().tolist() == [0, 1, 2]
+    assert dones.nonzero().flatten().tolist() == [0, 1, 2]
+    assert not on_hills.outcome.fallen.any()
+
+
+def test_the_curriculum_moves_robots_that_last_to_rougher_ground(on_hills: Environment):
+    """Up after a time-out, down after a fall, within the levels; starts are on the level's strip."""
+    on_hills.episode_length_buf[:2] = on_hills.max_episode_length
+    position = on_hills.engine.state.root_position.clone()
+    position[:, 2] = 1.0
+    position[1, 2] = 0.0
+    on_hills.engine.overrides = {"root_position": position}  # type: ignore[attr-defined]
+    on_hills.step(rest(on_hills))
+    assert on_hills.level.tolist() == [1] + [0] * 39
+    assert on_hills.engine.last_reset["root_position"][0, 1] > 0.0  # type: ignore[attr-defined]
+    on_hills.level[1] = 1
+    on_hills.episode_length_buf[0] = on_hills.max_episode_length
+    on_hills.step(rest(on_hills))
+    assert on_hills.level[:2].tolist() == [1, 0]
 
 
 def test_pushes(puppet, pattern: PatternNetwork):
     """A push lasts 0.1 s of every second, is constant while it lasts and stays within the force."""
     task = get_task("flat")
     task.pushes.force = 200.0
-    environment = Environment(task, puppet(5), pattern, humanoid.motors())
+    environment = Environment(task, puppet(5), pattern)
     for _ in range(180):
         environment.step(rest(environment))
     pushes = torch.stack([call["push"] for call in environment.engine.calls])  # type: ignore[attr-defined]

@@ -9,7 +9,8 @@ from aicpg_newton import metrics, rotations
 from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.evaluation.rollout import Tally, kinematic_frames
 from aicpg_newton.humanoid import JOINT_NAMES, MJCF_PATH, joint_index, mirror_joints
-from aicpg_newton.kinematics import centre_of_mass, sole_heights
+from aicpg_newton.kinematics import centre_of_mass, sole_corners, sole_heights
+from aicpg_newton.terrain import Ground, Terrain
 
 
 def everything(time: int, num_envs: int = 1) -> torch.Tensor:
@@ -197,6 +198,46 @@ def test_centre_of_mass_by_hand():
     mujoco.mj_forward(model, data)
     found = centre_of_mass(torch.tensor([1.0, 2.0, 3.0]), rotation, angles)
     torch.testing.assert_close(found, torch.tensor(data.subtree_com[1]).float(), rtol=0.0, atol=1e-5)
+
+
+def foot(x: float, z: float) -> torch.Tensor:
+    """Corners of a level sole of the humanoid's size, its middle at x and height z; shape [4, 3]."""
+    return torch.tensor([[x + i * 0.0885, j * 0.045, z] for i in (-1, 1) for j in (-1, 1)])
+
+
+def test_sole_clearance_sees_a_ridge_under_the_middle_of_the_foot():
+    """A ridge 30 mm high and 0.2 m wide under a sole at 20 mm: 10 mm deep, though all corners are in the air."""
+    heights = torch.zeros(101, 41)
+    heights[50] = 0.03
+    terrain = Terrain(Ground(height_range=0.03, cell=0.1, feature=0.1, length=10.0, width=4.0), heights)
+    corners = foot(5.0, 0.02)
+    assert (terrain.height(corners) < corners[:, 2] - 0.01).all()
+    assert metrics.sole_clearance(corners, terrain).item() == pytest.approx(-0.01, abs=1e-5)
+    # Wherever on the sole the ridge comes up, it is missed by half the grid's spacing on its slope of 0.3 at most.
+    for x in torch.linspace(4.92, 5.08, 33).tolist():
+        assert -0.0101 <= metrics.sole_clearance(foot(x, 0.02), terrain).item() <= -0.01 + 0.3 * 0.0074 + 1e-4
+    beside = torch.stack((foot(4.0, 0.02), foot(6.0, -0.004)))
+    assert metrics.sole_clearance(beside, terrain).tolist() == pytest.approx([0.02, -0.004], abs=1e-6)
+
+
+def test_sole_clearance_on_a_plane_is_the_height_of_the_lowest_corner(pattern: PatternNetwork):
+    """For tilted feet, as kinematics has it."""
+    frequency = torch.full((5,), pattern.gaits[0].frequency)
+    frame = list(kinematic_frames(pattern, frequency, 20, Tally(frequency)))[-1]
+    pose = frame.root_position, frame.root_rotation, frame.joint_position
+    found = metrics.sole_clearance(sole_corners(*pose), None)
+    torch.testing.assert_close(found, sole_heights(*pose), atol=1e-6, rtol=0.0)
+
+
+def test_sole_penetration_by_hand():
+    """Steps in contact count: 10 mm deep, 4 mm above and 0 in one environment, none in the other."""
+    clearance = torch.tensor([[-0.01, math.nan], [math.nan, 0.004], [0.0, -1.0]]).unsqueeze(1).repeat(1, 2, 1)
+    contact = torch.tensor([[True, False], [False, True], [True, False]]).unsqueeze(1).repeat(1, 2, 1)
+    valid = everything(3, 2)
+    valid[:, 1] = False
+    depth, hover = metrics.sole_penetration(clearance, contact, valid)
+    assert depth[0].item() == pytest.approx(0.01 / 3) and hover[0].item() == pytest.approx(0.004 / 3)
+    assert torch.isnan(depth[1]) and torch.isnan(hover[1])
 
 
 MEASURES = {

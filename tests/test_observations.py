@@ -37,9 +37,8 @@ def observe(state: RobotState, *, target_heading: float = 0.0, seed: int = 5) ->
     joints = [torch.randn(state.joint_position.shape, generator=generator) for _ in range(3)]
     seen = observations.observe(
         state,
-        target=joints[0],
-        cpg_torque=joints[1],
-        reflex_torque=joints[2],
+        torque=joints[2],
+        control=(joints[0], joints[1]),
         torque_limit=humanoid.motors().torque_limit,
         target_heading=torch.full((state.joint_position.shape[0],), target_heading),
     )
@@ -94,9 +93,8 @@ def test_nothing_depends_on_where_the_robot_is_or_faces():
     turned.foot_force = rotations.rotate(feet, state.foot_force)
     turned.foot_moment = rotations.rotate(feet, state.foot_moment)
     common = {
-        "target": torch.zeros(4, 28),
-        "cpg_torque": torch.zeros(4, 28),
-        "reflex_torque": torch.zeros(4, 28),
+        "torque": torch.zeros(4, 28),
+        "control": (torch.zeros(4, 28), torch.zeros(4, 28)),
         "torque_limit": humanoid.motors().torque_limit,
     }
     before = observations.observe(state, target_heading=torch.zeros(4), **common)
@@ -125,13 +123,40 @@ def test_mirror_image_of_observations_is_the_observation_of_the_mirror_image():
     """Mirroring the world and then looking is looking and then mirroring, for all 192 numbers."""
     state = random_state(6)
     common = {"torque_limit": humanoid.motors().torque_limit}
-    joints = {name: torch.randn(6, 28) for name in ("target", "cpg_torque", "reflex_torque")}
-    mirrored_joints = {name: humanoid.mirror_joints(value) for name, value in joints.items()}
+    torque, target, cpg_torque = torch.randn(3, 6, 28)
+    image = humanoid.mirror_joints
     heading = torch.linspace(-1, 1, 6)
-    seen = observations.observe(state, target_heading=heading, **joints, **common)
-    expected = observations.observe(mirrored_state(state), target_heading=-heading, **mirrored_joints, **common)
+    seen = observations.observe(state, target_heading=heading, torque=torque, control=(target, cpg_torque), **common)
+    expected = observations.observe(
+        mirrored_state(state),
+        target_heading=-heading,
+        torque=image(torque),
+        control=(image(target), image(cpg_torque)),
+        **common,
+    )
     assert torch.allclose(observations.mirror(seen), expected, atol=1e-5)
     assert not torch.allclose(seen, expected, atol=0.1)
+
+
+def test_without_a_cpg_the_first_136_remain():
+    """The baselines see the same of the body, and the same mirror map holds for it."""
+    state = random_state(3)
+    common = {"torque_limit": humanoid.motors().torque_limit, "target_heading": torch.zeros(3)}
+    torque, target, cpg_torque = torch.randn(3, 3, 28)
+    whole = observations.observe(state, torque=torque, control=(target, cpg_torque), **common)
+    body = observations.observe(state, torque=torque, control=(), **common)
+    assert body.shape == (3, 136)
+    assert torch.equal(body, whole[:, :136])
+    assert torch.equal(observations.mirror(body), observations.mirror(whole)[:, :136])
+
+
+def test_height_is_above_the_ground():
+    """Standing on a hill is not being taller."""
+    state = random_state(2)
+    common = {"torque_limit": humanoid.motors().torque_limit, "target_heading": torch.zeros(2)}
+    common["torque"] = torch.zeros(2, 28)
+    seen = observations.observe(state, ground_height=torch.tensor([0.5, -0.25]), control=(), **common)
+    assert torch.allclose(seen[:, 0], state.root_position[:, 2] - torch.tensor([0.5, -0.25]))
 
 
 def test_mirroring_twice_is_the_identity():

@@ -1,5 +1,6 @@
 """Shipping a checkpoint."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,9 @@ import yaml
 
 from aicpg_newton import checkpoint
 from aicpg_newton.errors import UserError
+from aicpg_newton.methods import with_method
 from aicpg_newton.publish import PublishOptions, publish
+from tasks import get_task
 
 
 def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):
@@ -24,7 +27,7 @@ def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):
             run={"seed": 0},
             iteration=iteration,
             samples=100 * iteration,
-            algorithm={**networks, "optimizer_state_dict": {"state": torch.rand(1000)}},
+            algorithm={**networks, "optimizer_state_dict": {"state": torch.rand(1000)}, "replay": torch.rand(1000)},
         )
     options = PublishOptions(checkpoint=run, out=tmp_path / "policies")
     with pytest.raises(UserError, match=r"config\.yaml"):
@@ -38,6 +41,26 @@ def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):
     assert torch.equal(content["algorithm"]["actor_state_dict"]["w"], networks["actor_state_dict"]["w"])
     config = yaml.safe_load(target.with_suffix(".yaml").read_text())
     assert config == {"run": {"seed": 0}, "trained": {"iterations": 9, "samples": 900}}
+
+
+@pytest.mark.parametrize(
+    ("choice", "name"), [("ai-cpg", "uneven.pt"), ("ppo:3.0", "uneven_ppo_3.0.pt"), ("amp:run", "uneven_amp_run.pt")]
+)
+def test_baselines_go_by_method_and_condition(tmp_path: Path, choice: str, name: str):
+    """So that none takes the place of another."""
+    checkpoint.write(
+        tmp_path / "model_0.pt",
+        task=asdict(with_method(get_task("uneven"), choice)),
+        pattern={},
+        run={},
+        iteration=1,
+        samples=1,
+        algorithm={"actor_state_dict": {}, "critic_state_dict": {}},
+    )
+    (tmp_path / "config.yaml").write_text("run: {}\n")
+    target = publish(PublishOptions(checkpoint=tmp_path, out=tmp_path / "policies"))
+    assert target.name == name
+    assert target.with_name(name.removesuffix(".pt") + ".yaml").is_file()
 
 
 def test_no_policy_for_an_unknown_task():

@@ -43,14 +43,21 @@ def test_round_trip_through_a_dictionary():
 
 
 def test_settings_of_another_version_are_refused():
-    """A missing or unknown setting is named."""
+    """An unknown setting is named, and so are a missing name and a wrong value; other settings have defaults."""
     content = dataclasses.asdict(get_task("flat"))
     content["reflex"]["gain"] = 3.0
     with pytest.raises(UserError, match="Reflex: gain"):
         task_from_dict(content, "file")
     content = dataclasses.asdict(get_task("flat"))
-    del content["pushes"]
-    with pytest.raises(UserError, match="Task: pushes"):
+    del content["name"]
+    with pytest.raises(UserError, match="Task: name"):
+        task_from_dict(content, "file")
+    content = dataclasses.asdict(get_task("uneven"))
+    del content["ground"], content["learning"]["learn_std"]
+    assert task_from_dict(content, "file").ground.height_range == 0.0
+    content = dataclasses.asdict(get_task("flat"))
+    content["reference"] = "hop"
+    with pytest.raises(UserError, match="'hop' for reference"):
         task_from_dict(content, "file")
     content = dataclasses.asdict(get_task("flat"))
     content["reflex"]["torque_share"] = "much"

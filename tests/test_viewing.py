@@ -1,13 +1,9 @@
-"""Recordings, filmstrips and live viewers, on CPU without a display."""
+"""The stage, recordings and filmstrips, on CPU without a display."""
 
 import math
-import sys
-import time
-from importlib.util import find_spec
 from pathlib import Path
 
 import imageio_ffmpeg
-import newton.viewer
 import numpy as np
 import pytest
 import torch
@@ -16,10 +12,12 @@ from PIL import Image
 from aicpg_newton import rotations
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import NUM_JOINTS, joint_index
-from aicpg_newton.viewing import FilmstripRow, LiveViewer, Recorder, Stage, save_filmstrip
-from aicpg_newton.viewing.camera import Studio, facing
+from aicpg_newton.kinematics import sole_corners
+from aicpg_newton.terrain import Ground, Terrain
+from aicpg_newton.viewing import FilmstripRow, Recorder, Stage, save_filmstrip
+from aicpg_newton.viewing.camera import Photographer, Studio, facing, parallel_rays
 from aicpg_newton.viewing.filmstrip import LABEL_WIDTH, TILE_HEIGHT, TILE_WIDTH
-from aicpg_newton.viewing.stage import LANE_WIDTH, Ground, Tracker
+from aicpg_newton.viewing.stage import LANE_WIDTH, Floor, Tracker
 
 STANDING = 0.8815
 """Height of the pelvis frame when all joint angles are zero [m]."""
@@ -32,6 +30,24 @@ def pose(robots=1, x=0.0, **angles):
     joints = torch.zeros(robots, NUM_JOINTS)
     for name, angle in angles.items():
         joints[:, joint_index(name)] = angle
+    return position, rotation, joints
+
+
+def terrain_of(height_range=1.0, feature=3.0, **sizes) -> Terrain:
+    """A small terrain; as a rule one of gentle hills."""
+    sizes = {"length": 24.0, "width": 16.0, "seed": 3, **sizes}
+    terrain = Terrain.make(Ground(height_range=height_range, feature=feature, **sizes))
+    assert terrain is not None
+    return terrain
+
+
+def on(terrain: Terrain, robot_pose, x: float | torch.Tensor = 12.0, y: float = 0.0):
+    """A pose moved to a place on a terrain, its lowest sole on the surface."""
+    position, rotation, joints = robot_pose
+    position = position.clone()
+    position[:, 0], position[:, 1] = x, y
+    soles = sole_corners(position, rotation, joints).flatten(1, 2)
+    position[:, 2] += (terrain.height(soles) - soles[..., 2]).amax(dim=1)
     return position, rotation, joints
 
 
@@ -63,9 +79,9 @@ def columns(pixels: np.ndarray) -> np.ndarray:
     return found
 
 
-def studio_picture(robot_pose, *, whole=False, width=320, height=180, away=4.5):
+def studio_picture(robot_pose, *, terrain=None, whole=False, width=320, height=180, away=4.5):
     """A picture of one pose from the robot's right side, slightly from the front and above."""
-    stage = Stage(len(robot_pose[0]), device="cpu")
+    stage = Stage(len(robot_pose[0]), terrain=terrain, device="cpu")
     stage.pose(*robot_pose)
     rotation = facing(math.radians(22), math.radians(11))
     studio = Studio(stage, width, height, math.radians(30), rotation)
@@ -200,7 +216,7 @@ def test_robots_stand_in_lanes():
 
 def test_treadmill_keeps_robots_in_place():
     """Robot 0 at 3 m/s stays near the origin, a faster one within 3 m of it, and the lines slide back below them."""
-    stage = Stage(2, ground=Ground.TREADMILL, device="cpu")
+    stage = Stage(2, floor=Floor.TREADMILL, device="cpu")
     slides = []
     for step in range(240):
         position, rotation, joints = pose(2, x=3.0 * step / 60)
@@ -214,6 +230,79 @@ def test_treadmill_keeps_robots_in_place():
     assert min(slides) < -0.9 and max(slides) <= 0.0
     steps = np.diff(slides[-40:])
     assert np.median(steps) == pytest.approx(-3.0 / 60, rel=0.05)
+
+
+@pytest.mark.parametrize("floor", [Floor.FIXED, Floor.TREADMILL])
+def test_drawn_ground_is_the_terrain(floor):
+    """Seen from above, every pixel of the ground is as far below robot 0 as the terrain says, sliding or not."""
+    terrain = terrain_of(feature=0.5)
+    stage = Stage(2, floor=floor, terrain=terrain, device="cpu")
+    for x in (5.0, 5.6, 6.13):
+        position, rotation, joints = pose(2, x=x)
+        position[:, 1] = torch.tensor([1.3, -2.0])
+        stage.pose(position, rotation, joints)
+    shown = stage.links[0, 0]  # robot 0's pelvis
+    rays = parallel_rays(60, 40, 0.1, 20.0, 0.0, "cpu")[:, :, :1]
+    shot = Photographer(stage).shoot(rays, shown + torch.tensor([0.0, 0.0, 5.0]), torch.tensor([0.0, 0.0, 0.0, 1.0]))
+    ground = shot.shapes == stage.shape_names.index("ground")
+    across, along = np.meshgrid((np.arange(60) - 29.5) * 0.1, (19.5 - np.arange(40)) * 0.1)
+    there = position[0, :2] + torch.from_numpy(np.stack((across, along), axis=-1))
+    below = float(position[0, 2]) - terrain.height(there).numpy()
+    assert ground.sum() > 2000
+    assert np.abs(shot.depth - 5.0 - below)[ground].max() < 1e-3
+    # Nobody stands in a lane: the other robot is where it is.
+    assert (stage.links[1, 0] - shown)[:2].tolist() == pytest.approx([0.0, -3.3], abs=1e-5)
+
+
+def test_treadmill_of_terrain_keeps_robot_0_at_the_camera():
+    """Running up and down hills, robot 0 stays near the origin, as high above it as above the ground."""
+    terrain = terrain_of()
+    stage = Stage(1, floor=Floor.TREADMILL, terrain=terrain, device="cpu")
+    for step in range(240):
+        robot_pose = on(terrain, pose(), x=2.0 + 5.0 * step / 60)
+        stage.pose(*robot_pose)
+        assert stage.links[0, 0].abs().tolist() == pytest.approx([0.0, 0.0, STANDING], abs=0.4)
+    assert float(stage.links[0, 0, :2].norm()) < 0.02
+
+
+def test_flattest_terrain_looks_like_the_plane():
+    """A terrain without heights to speak of gives the plane's picture: same cells, shades, shadow and feet."""
+    robot_pose = pose(x=12.3, right_hip_y=-0.7, left_hip_y=0.5)
+    plane = studio_picture(robot_pose).astype(int)
+    terrain = studio_picture(robot_pose, terrain=terrain_of(1.0e-5, length=60.0, width=60.0)).astype(int)
+    # Single rays make the edges of cells and shadows a little different.
+    assert (np.abs(plane - terrain).max(axis=2) > 4).mean() < 0.01
+
+
+def test_slopes_can_be_seen():
+    """In the distance, where no shadow falls, a cell's brightness differs with its slope, by more than on a plane."""
+    spread = []
+    for height_range in (1.0e-5, 0.1):
+        terrain = terrain_of(height_range, feature=0.5)
+        picture = studio_picture(on(terrain, pose()), terrain=terrain).astype(float)
+        spread.append(np.unique(picture[150:, :90].mean(axis=2).round()).size)
+    assert spread[1] > spread[0] + 15
+
+
+def test_camera_follows_the_robot_over_hills(tmp_path):
+    """A robot that runs over hills of two metres stays in the middle of the picture, on its feet."""
+    terrain = terrain_of(2.0, feature=6.0)
+    path = tmp_path / "hills.mp4"
+    heights = []
+    with Recorder(path, terrain=terrain, width=320, height=180) as recorder:
+        for step in range(60):
+            robot_pose = on(terrain, pose(), x=11.0 + 7.0 * step / 60)
+            heights.append(float(robot_pose[0][0, 2]))
+            recorder.add(*robot_pose)
+    assert max(heights) - min(heights) > 0.5
+    _, frames = frames_of(path)
+    for frame in frames:
+        robot = np.nonzero(right_pixels(frame) | left_pixels(frame))
+        assert abs(robot[1].mean() - 160) < 32
+        assert robot[0].min() > 20 and robot[0].max() < 175
+    # No leg is below ground, as it would be on the plane.
+    shown = [(right_pixels(frame) | left_pixels(frame)).sum() for frame in frames]
+    assert min(shown) > 0.8 * max(shown)
 
 
 def test_tracker_has_no_lag_at_constant_speed():
@@ -311,6 +400,25 @@ def test_filmstrip_feet_stand_on_the_line(tmp_path):
     assert abs(np.nonzero(right_pixels(tile))[0].max() + 1 - line) <= 1
 
 
+def test_filmstrip_on_terrain(tmp_path):
+    """Each pose stands on the ground of its own place, at the same row; one that floats or sinks shows it."""
+    terrain = terrain_of(0.3)
+    position, rotation, joints = on(terrain, pose(8), x=torch.linspace(3.0, 20.0, 8), y=1.0)
+    position[3, 2] += 0.2
+    position[5, 2] -= 0.2
+    path = tmp_path / "strip.png"
+    save_filmstrip(path, [FilmstripRow("standing", position, rotation, joints)], terrain)
+    strip = np.asarray(Image.open(path))[:, LABEL_WIDTH:]
+    red = [right_pixels(strip[:, tile * TILE_WIDTH :][:, :TILE_WIDTH]) for tile in range(8)]
+    pixels_per_metre = TILE_HEIGHT / 1.9 * math.cos(math.radians(12))
+    shoulder = np.array([np.nonzero(tile)[0].min() for tile in red])
+    above = (position[:, 2] - terrain.height(position)).numpy() * pixels_per_metre
+    assert np.ptp(shoulder + above) < 3
+    shown = np.array([tile.sum() for tile in red])
+    assert shown[5] < 0.9 * np.delete(shown, 5).min()
+    assert shown[3] == pytest.approx(np.delete(shown, (3, 5)).mean(), rel=0.03)
+
+
 def test_bad_filmstrip(tmp_path):
     """Bad paths, no rows, a wrong number of poses and poses that are not finite are refused."""
     row = stride("0.9 Hz")
@@ -330,128 +438,3 @@ def test_bad_filmstrip(tmp_path):
             tmp_path / "strip.png",
             [FilmstripRow("nan", row.root_position * math.nan, row.root_rotation, row.joint_position)],
         )
-
-
-def test_unknown_viewer():
-    """An unknown kind is refused with the kinds there are."""
-    with pytest.raises(UserError, match="viser, gl, rerun, usd, none"):
-        LiveViewer("screen")
-
-
-@pytest.mark.parametrize(
-    ("kind", "module", "package"),
-    [
-        ("viser", "viser", "viser"),
-        ("gl", "pyglet", "pyglet"),
-        ("rerun", "rerun", "rerun-sdk"),
-        ("usd", "pxr", "usd-core"),
-    ],
-)
-def test_missing_package(monkeypatch, tmp_path, kind, module, package):
-    """A viewer whose package is not installed says what to install."""
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(UserError, match=f"pip install.*{package}"):
-        LiveViewer(kind, path=tmp_path / "a.usd")
-
-
-class FakeViewer:
-    """Stands for one of Newton's viewers and counts what it is shown."""
-
-    def __init__(self, **_: object) -> None:
-        self.url = "http://nowhere"
-        self.times: list[float] = []
-        self.closed = False
-
-    def set_model(self, model) -> None:
-        """Take the model."""
-        self.model = model
-
-    def set_camera(self, *_: object, **__: object) -> None:
-        """Ignore the camera."""
-
-    def begin_frame(self, at) -> None:
-        """Note the time."""
-        self.times.append(at)
-
-    def log_state(self, state) -> None:
-        """Note the first link's position."""
-        self.link = state.body_q.numpy()[0]
-
-    def end_frame(self) -> None:
-        """Do nothing."""
-
-    def is_running(self) -> bool:
-        """Stop after 13 frames, as a window that is closed."""
-        return len(self.times) < 13
-
-    def close(self) -> None:
-        """Note it."""
-        self.closed = True
-
-
-def fake(monkeypatch) -> None:
-    """Let ``viser`` be a fake viewer."""
-    monkeypatch.setattr("aicpg_newton.viewing.live.find_spec", lambda module: module)
-    monkeypatch.setattr(newton.viewer, "ViewerViser", FakeViewer)
-
-
-def test_live_viewer_keeps_real_time(monkeypatch):
-    """12 control steps take the 0.2 s that they simulate; time set back does not stall; closing closes."""
-    fake(monkeypatch)
-    with LiveViewer("viser", 2) as viewer:
-        shown = viewer._viewer
-        viewer.show(*pose(2), time=100.0)
-        began = time.perf_counter()
-        for step in range(1, 13):
-            assert viewer.is_running()
-            viewer.show(*pose(2), time=100.0 + step / 60)
-        assert 0.19 < time.perf_counter() - began < 0.6
-        assert not viewer.is_running()
-        began = time.perf_counter()
-        viewer.show(*pose(2), time=0.0)
-        assert time.perf_counter() - began < 0.1
-        assert shown.model.body_count == 2 * 13 + 1 and len(shown.times) == 14
-    assert shown.closed
-
-
-def test_display_that_cannot_be_opened(monkeypatch):
-    """A viewer that fails to open says why and what to choose instead."""
-    fake(monkeypatch)
-
-    def fail(**_: object) -> None:
-        raise RuntimeError("no display")
-
-    monkeypatch.setattr(newton.viewer, "ViewerGL", fail)
-    with pytest.raises(UserError, match=r"no display.*viser"):
-        LiveViewer("gl")
-
-
-def test_no_viewer_shows_nothing():
-    """The kind ``none`` accepts everything, keeps running and does not wait."""
-    with LiveViewer("none") as viewer:
-        began = time.perf_counter()
-        for step in range(60):
-            viewer.show(*pose(), time=float(step))
-        assert time.perf_counter() - began < 1.0
-        assert viewer.is_running()
-
-
-@pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed")
-def test_viser_opens_and_closes():
-    """The real browser viewer takes poses."""
-    with LiveViewer("viser", 2) as viewer:
-        for step in range(3):
-            viewer.show(*pose(2), time=step / 60)
-        assert viewer.is_running()
-
-
-@pytest.mark.skipif(find_spec("pxr") is None, reason="usd-core is not installed")
-def test_usd_writes_a_file(tmp_path):
-    """The usd viewer writes its file when it is closed, and needs a path for that."""
-    with pytest.raises(UserError, match="give its path"):
-        LiveViewer("usd")
-    path = tmp_path / "walk.usd"
-    with LiveViewer("usd", path=path) as viewer:
-        for step in range(3):
-            viewer.show(*pose(), time=step / 60)
-    assert path.stat().st_size > 1000

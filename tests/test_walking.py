@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from aicpg_newton import humanoid
+from aicpg_newton.control import PatternControl
 from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.engines import Engine, Physics, make_engine
 from aicpg_newton.engines.newton import NewtonEngine
@@ -17,7 +18,7 @@ CPU = torch.device("cpu")
 
 def drive(engine: Engine, pattern: PatternNetwork, frequency: float) -> Environment:
     """An environment with all humanoids at one frequency."""
-    environment = Environment(get_task("flat"), engine, pattern, humanoid.motors(), seed=1)
+    environment = Environment(get_task("flat"), engine, pattern, seed=1)
     environment.frequency = torch.full((engine.num_envs,), frequency)
     environment.reset(torch.ones(engine.num_envs, dtype=torch.bool))
     return environment
@@ -57,7 +58,8 @@ def test_joints_follow_the_pattern_with_the_pelvis_held_in_the_air(pattern: Patt
         environment.step(torch.zeros(8, 28))
         state = environment.outcome.state
         if step >= 30:
-            errors.append(environment._target - state.joint_position)
+            assert isinstance(environment.control, PatternControl)
+            errors.append(environment.control.target - state.joint_position)
         engine.reset(
             everyone,
             root_position=height,
@@ -77,12 +79,11 @@ def test_observations_and_rewards_do_not_depend_on_the_engines_layout(pattern: P
     environments = [
         Environment(
             get_task("flat"),
-            NewtonEngine(4, CPU, humanoid.motors(), Physics(), **mjcf),
+            NewtonEngine(4, CPU, humanoid.motors(), Physics(), mjcf=mjcf),
             pattern,
-            humanoid.motors(),
             seed=2,
         )
-        for mjcf in ({}, {"mjcf": permuted_mjcf})
+        for mjcf in (humanoid.MJCF_PATH, permuted_mjcf)
     ]
     actions = torch.randn(10, 4, 28, generator=torch.Generator().manual_seed(0))
     for action in actions:

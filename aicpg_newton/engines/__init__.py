@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import torch
 
@@ -10,32 +11,52 @@ from aicpg_newton.device import resolve_device
 from aicpg_newton.engines.interface import Engine, Physics, RobotState
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import Motors
+from aicpg_newton.terrain import Ground, Terrain
 
 __all__ = ["ENGINES", "Engine", "Physics", "RobotState", "make_engine"]
+
+
+class _EngineClass(Protocol):
+    def __call__(
+        self,
+        num_envs: int,
+        device: torch.device,
+        motors: Motors,
+        physics: Physics,
+        terrain: Terrain | None = None,
+    ) -> Engine: ...
+
 
 # The engines are imported on first use: Warp and MuJoCo take seconds to load, and nobody needs both.
 
 
-def _newton() -> Callable[[int, torch.device, Motors, Physics], Engine]:
+def _newton() -> _EngineClass:
     from aicpg_newton.engines.newton import NewtonEngine
 
     return NewtonEngine
 
 
-def _mujoco() -> Callable[[int, torch.device, Motors, Physics], Engine]:
+def _mujoco() -> _EngineClass:
     from aicpg_newton.engines.mujoco import MujocoEngine
 
     return MujocoEngine
 
 
-ENGINES: dict[str, Callable[[], Callable[[int, torch.device, Motors, Physics], Engine]]] = {
+ENGINES: dict[str, Callable[[], _EngineClass]] = {
     "newton": _newton,
     "mujoco": _mujoco,
 }
 """Name of each engine to a function that imports and returns its class."""
 
 
-def make_engine(name: str, num_envs: int, device: torch.device | str, motors: Motors, physics: Physics) -> Engine:
+def make_engine(
+    name: str,
+    num_envs: int,
+    device: torch.device | str,
+    motors: Motors,
+    physics: Physics,
+    ground: Ground | None = None,
+) -> Engine:
     """Make an engine by name.
 
     Args:
@@ -44,6 +65,7 @@ def make_engine(name: str, num_envs: int, device: torch.device | str, motors: Mo
         device: Torch device, ``cuda:0`` or ``cpu``.
         motors: Gains, limits, damping and armature per joint.
         physics: Simulation settings.
+        ground: Shape of the ground; a plane when none is given.
 
     Raises:
         UserError: There is no such engine or device, the engine cannot run on the device, or a number is out of range.
@@ -56,4 +78,5 @@ def make_engine(name: str, num_envs: int, device: torch.device | str, motors: Mo
     device = resolve_device(str(device))
     if name == "auto":
         name = "newton" if device.type == "cuda" else "mujoco"
-    return ENGINES[name]()(num_envs, device, motors, physics)
+    terrain = None if ground is None else Terrain.make(ground)
+    return ENGINES[name]()(num_envs, device, motors, physics, terrain)

@@ -9,6 +9,7 @@ import torch
 
 from aicpg_newton.cpg import CONTROL_DT
 from aicpg_newton.errors import UserError
+from aicpg_newton.terrain import Terrain
 
 
 @dataclass(kw_only=True)
@@ -75,15 +76,17 @@ class RobotState:
 
     def finite(self) -> torch.Tensor:
         """Whether every number of an environment is finite, shape [num_envs]."""
-        return torch.stack([torch.isfinite(value.flatten(1)).all(dim=1) for value in vars(self).values()]).all(dim=0)
+        return torch.isfinite(torch.cat([value.flatten(1) for value in vars(self).values()], dim=1)).all(dim=1)
 
 
 class Engine(Protocol):
-    """A batch of humanoids on flat ground, stepped one control step at a time."""
+    """A batch of humanoids on a plane or on uneven ground, stepped one control step at a time."""
 
     name: ClassVar[str]
     num_envs: int
     device: torch.device
+    terrain: Terrain | None
+    """Uneven ground, on the engine's device; None for the endless plane at z = 0."""
 
     @property
     def state(self) -> RobotState:

@@ -45,14 +45,28 @@ def add_foot_wrenches(
 @wp.kernel
 def note_buffers(
     step_overflow: wp.array[wp.int32],
+    buffers: wp.int32,
     constraint_count: wp.array[wp.int32],
     contact_count: wp.array[wp.int32],
     overflow: wp.array[wp.int32],
     most: wp.array[wp.int32],
 ):
-    """Collect each world's overflow bits, and the most constraints of a world and contacts of all worlds."""
+    """Collect each world's overflow bits of ``buffers``, the most constraints of a world and contacts of all worlds."""
     world = wp.tid()
-    overflow[world] = overflow[world] | step_overflow[world]
+    overflow[world] = overflow[world] | (step_overflow[world] & buffers)
     wp.atomic_max(most, 0, constraint_count[world])
     if world == 0:
         wp.atomic_max(most, 1, contact_count[0])
+
+
+@wp.kernel
+def note_lost_contacts(
+    triangle_count: wp.array[wp.int32],
+    triangle_max: wp.int32,
+    unbuffered: wp.array[wp.int32],
+    unreduced: wp.array[wp.int32],
+    overflow: wp.array[wp.int32],
+):
+    """Mark all worlds when the collision detection, whose buffers they share, ran out of one of them."""
+    if triangle_count[0] > triangle_max or unbuffered[0] > 0 or unreduced[0] > 0:
+        overflow[wp.tid()] = -1

@@ -9,12 +9,14 @@ from typing import Any
 
 import newton
 import torch
+import warp as wp
 from newton.solvers import SolverMuJoCo
 
 import aicpg_newton.warp_log  # noqa: F401
 from aicpg_newton.engines.interface import Physics
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import FOOT_NAMES, GRAVITY, JOINT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors
+from aicpg_newton.terrain import Terrain
 
 ROOT_COORDINATES = 7
 """Position and quaternion of the free joint come first in Newton's joint coordinates."""
@@ -36,15 +38,16 @@ class Layout:
 
 
 def build(
-    num_envs: int, motors: Motors, physics: Physics, mjcf: Path = MJCF_PATH
+    num_envs: int, motors: Motors, physics: Physics, mjcf: Path = MJCF_PATH, terrain: Terrain | None = None
 ) -> tuple[newton.ModelBuilder, Layout]:
-    """Assemble ``num_envs`` humanoids, each in a world of its own, over one shared ground plane.
+    """Assemble ``num_envs`` humanoids, each in a world of its own, over one ground that all of them share.
 
     Args:
         num_envs: Number of worlds.
         motors: Gains, limits, damping and armature per joint.
         physics: Simulation settings.
         mjcf: Geometry; its joints and links may stand in any order.
+        terrain: Shape of the ground; None for a plane.
 
     Returns:
         The builder, ready to be finalized on a device, and the layout of one world.
@@ -75,9 +78,25 @@ def build(
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z, gravity=(0.0, 0.0, -GRAVITY))
     SolverMuJoCo.register_custom_attributes(builder)
     builder.replicate(robot, num_envs)
-    ground = newton.ModelBuilder.ShapeConfig(mu=physics.friction)
-    builder.add_ground_plane(cfg=ground)
+    if terrain is None:
+        builder.add_ground_plane(cfg=newton.ModelBuilder.ShapeConfig(mu=physics.friction))
+    else:
+        _add_terrain(builder, terrain, physics)
     return builder, layout
+
+
+def _add_terrain(builder: newton.ModelBuilder, terrain: Terrain, physics: Physics) -> None:
+    """Add the uneven ground as a height field: solid below its surface, unlike a mesh, through which limbs fall."""
+    length, width = terrain.extent
+    heights = terrain.heights.cpu().numpy().T  # Newton's rows run along y
+    field = newton.Heightfield(heights, *heights.shape, hx=0.5 * length, hy=0.5 * width)
+    # Only what touches is a contact: those Newton would note within a gap of 0.1 m fill the buffers and do nothing.
+    builder.shape_gap = [0.0] * builder.shape_count
+    builder.add_shape_heightfield(
+        xform=wp.transform((0.5 * length, 0.0, 0.0), wp.quat_identity()),
+        heightfield=field,
+        cfg=newton.ModelBuilder.ShapeConfig(mu=physics.friction, gap=0.0),
+    )
 
 
 def make_solver(model: newton.Model, physics: Physics, **options: Any) -> SolverMuJoCo:

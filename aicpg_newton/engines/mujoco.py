@@ -23,6 +23,7 @@ from aicpg_newton.engines.model import ROOT_DOFS, build, make_solver
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import FOOT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors, joint_index
 from aicpg_newton.kinematics import HEAD_CENTRE
+from aicpg_newton.terrain import Terrain
 
 _TORSO, _HEAD = LINK_NAMES.index("torso"), LINK_NAMES.index("head")
 
@@ -47,6 +48,12 @@ _NET_FORCE = 3
 _LARGEST = 1e10
 """MuJoCo's own bound (mjMAXVAL) on a sound coordinate or velocity."""
 
+_DEPTH = 100.0
+"""How far uneven ground is solid below its lowest point [m]; see :func:`_replace_plane`."""
+
+_STUD = 0.003
+"""Half the side of the studs at the corners of a sole [m]; see :func:`_add_studs`."""
+
 _Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
@@ -60,6 +67,7 @@ class MujocoEngine:
         device: ``cpu``.
         motors: Gains, limits, damping and armature per joint.
         physics: Simulation settings; the buffer sizes have no meaning here, see :meth:`overflows`.
+        terrain: Uneven ground; None for a plane.
         mjcf: Geometry; joints and links are found by name.
 
     Raises:
@@ -69,13 +77,20 @@ class MujocoEngine:
     name: ClassVar[str] = "mujoco"
 
     def __init__(
-        self, num_envs: int, device: torch.device | str, motors: Motors, physics: Physics, mjcf: Path = MJCF_PATH
+        self,
+        num_envs: int,
+        device: torch.device | str,
+        motors: Motors,
+        physics: Physics,
+        terrain: Terrain | None = None,
+        mjcf: Path = MJCF_PATH,
     ) -> None:
         self.num_envs = num_envs
         self.device = torch.device(device)
         if self.device.type != "cpu":
             raise UserError(f"engine 'mujoco' cannot run on device {str(self.device)!r}; use cpu or engine 'newton'")
         self.physics = physics
+        self.terrain = None if terrain is None else terrain.to(self.device)
         self._load(motors, mjcf)
         threads = min(len(os.sched_getaffinity(0)), num_envs)
         self._rollout = Rollout(nthread=threads)
@@ -114,6 +129,8 @@ class MujocoEngine:
             [exported.body(bodies[LINK_NAMES.index(name)]).name for name in FOOT_NAMES],
             [exported.joint(joint).name for joint in joints],
         )
+        if self.terrain is not None:
+            _replace_plane(spec, self.terrain)
         model = self.model = spec.compile()
         model.opt.timestep = self.physics.timestep
         # Left on, it would put a diverged environment back to the initial pose without a word.
@@ -280,6 +297,55 @@ class MujocoEngine:
         It takes them from one large arena; should that run out, the environment stops and shows up as not finite.
         """
         return 0
+
+
+def _replace_plane(spec: mujoco.MjSpec, terrain: Terrain) -> None:
+    """Put a height field of the same material in the place of the ground plane.
+
+    To MuJoCo each triangle is a prism of its own, whose walls to its neighbours are as good as its top: its newer
+    collision detection pushed feet along the shortest way out, often sideways, and they stuck. The older one pushes
+    along the line from the prism's middle, which is up when the prism is deep.
+    """
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD.value
+    length, width = terrain.extent
+    heights = terrain.heights.double().numpy().T  # MuJoCo's rows run along y
+    spec.add_hfield(
+        name="terrain",
+        nrow=heights.shape[0],
+        ncol=heights.shape[1],
+        size=[0.5 * length, 0.5 * width, max(np.ptp(heights), 1e-6), _DEPTH],  # MuJoCo stretches the data to this
+        userdata=heights.ravel(),
+    )
+    for geom in list(spec.geoms):
+        geom.gap = 0.0  # Newton asks for contacts up to 0.1 m away, which do nothing; here each would cost a search
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            geom.type = mujoco.mjtGeom.mjGEOM_HFIELD
+            geom.hfieldname = "terrain"
+            geom.pos = [0.5 * length, 0.0, heights.min()]
+        elif geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+            _add_studs(geom)
+
+
+def _add_studs(foot: mujoco.MjsGeom) -> None:
+    """Add a thin upright box within each corner of a foot; its shape and mass stay.
+
+    MuJoCo finds one contact point per triangle and shape: without them a flat foot would rock on a point.
+    """
+    (x, y, z), (length, width, height) = foot.pos, foot.size
+    for forward in (_STUD - length, length - _STUD):
+        for left in (_STUD - width, width - _STUD):
+            foot.parent.add_geom(
+                type=foot.type,
+                size=[_STUD, _STUD, height],
+                pos=[x + forward, y + left, z],
+                mass=0.0,
+                contype=foot.contype,
+                conaffinity=foot.conaffinity,
+                friction=foot.friction,
+                solref=foot.solref,
+                solimp=foot.solimp,
+                gap=foot.gap,
+            )
 
 
 def _add_sensors(spec: mujoco.MjSpec, feet: list[str], joints: list[str]) -> None:

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import newton
+import numpy as np
 import torch
 import warp as wp
+from mujoco_warp import OverflowType
 
 from aicpg_newton import rotations
 from aicpg_newton.engines import kernels
@@ -15,6 +17,10 @@ from aicpg_newton.engines.interface import Physics, RobotState
 from aicpg_newton.engines.model import ROOT_COORDINATES, ROOT_DOFS, build, make_solver
 from aicpg_newton.humanoid import FOOT_NAMES, LINK_NAMES, MJCF_PATH, Motors
 from aicpg_newton.kinematics import HEAD_CENTRE
+from aicpg_newton.terrain import Terrain
+
+_BUFFERS = ~int(OverflowType.ITERATIONS | OverflowType.LS_ITERATIONS)
+"""Bits of the solver's overflows that speak of buffers; the others of iterations that did not converge."""
 
 
 class NewtonEngine:
@@ -25,26 +31,39 @@ class NewtonEngine:
         device: Torch device, ``cuda:0`` or ``cpu``.
         motors: Gains, limits, damping and armature per joint.
         physics: Simulation settings.
+        terrain: Uneven ground; None for a plane.
         mjcf: Geometry; joints and links are found by name.
     """
 
     name: ClassVar[str] = "newton"
 
     def __init__(
-        self, num_envs: int, device: torch.device | str, motors: Motors, physics: Physics, mjcf: Path = MJCF_PATH
+        self,
+        num_envs: int,
+        device: torch.device | str,
+        motors: Motors,
+        physics: Physics,
+        terrain: Terrain | None = None,
+        mjcf: Path = MJCF_PATH,
     ) -> None:
         self.num_envs = num_envs
         self.device = torch.device(device)
         self.physics = physics
-        builder, layout = build(num_envs, motors, physics, mjcf)
+        self.terrain = None if terrain is None else terrain.to(self.device)
+        builder, layout = build(num_envs, motors, physics, mjcf, terrain)
         self._wp_device = wp.device_from_torch(self.device)
         # Any: Newton annotates its arrays as optional.
         self.model: Any = builder.finalize(device=self._wp_device)
-        self.solver = make_solver(self.model, physics)
+        self.solver = make_solver(self.model, physics, use_mujoco_contacts=terrain is None)
         # An even number of substeps ends in the state it began in, so a captured graph needs no copy.
         self._states: tuple[Any, Any] = (self.model.state(), self.model.state())
         self._control: Any = self.model.control()
-        self._contacts = newton.Contacts(self.solver.get_max_contact_count(), 0, device=self._wp_device)
+        self._collisions = None if terrain is None else self._make_collisions(terrain.ground.cell)
+        self._contacts: Any = (
+            newton.Contacts(self.solver.get_max_contact_count(), 0, device=self._wp_device)
+            if self._collisions is None
+            else self._collisions.contacts()
+        )
         kinds = self.solver.ObservableKind
         self._observables: Any = self.solver.observables(
             {kinds.CONTACT_F, kinds.QFRC_ACTUATOR, kinds.OVERFLOW}, contacts=self._contacts
@@ -61,6 +80,23 @@ class NewtonEngine:
             self.solver.reset(self._states[0])
             newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
         self.state = self._read()
+
+    def _make_collisions(self, cell: float) -> newton.CollisionPipeline:
+        """Newton's own collision detection, for uneven ground of cells of this size [m].
+
+        MuJoCo-Warp's finds one contact point per triangle and shape, and walls where two triangles meet.
+        """
+        upper, lower = self.model.shape_collision_aabb_upper.numpy(), self.model.shape_collision_aabb_lower.numpy()
+        # As far as a shape reaches, however it turns; the last shape is the ground.
+        cells = np.ceil(np.linalg.norm(upper - lower, axis=1)[:-1] / cell) + 1
+        return newton.CollisionPipeline(
+            self.model,
+            broad_phase="explicit",
+            rigid_contact_max=self.solver.get_max_contact_count(),
+            max_triangle_pairs=int(2 * (cells**2).sum()),
+            soft_contact_max=0,
+            verify_buffers=False,
+        )
 
     def _map_layout(self, joints: tuple[int, ...], links: tuple[int, ...], foot_shapes: tuple[int, ...]) -> None:
         hinges = torch.tensor(joints, device=self.device)
@@ -107,6 +143,8 @@ class NewtonEngine:
         self._foot_wrench_array.zero_()
         state_in, state_out = self._states
         for _ in range(self.physics.substeps):
+            if self._collisions is not None:
+                self._collide(self._collisions, state_in)
             self.solver.step(
                 state_in,
                 state_out,
@@ -136,11 +174,33 @@ class NewtonEngine:
             wp.launch(
                 kernels.note_buffers,
                 dim=self.num_envs,
-                inputs=[self._observables.overflow, self.solver.mjw_data.nefc, self.solver.mjw_data.nacon],
+                inputs=[
+                    self._observables.overflow,
+                    _BUFFERS,
+                    self.solver.mjw_data.nefc,
+                    self._contacts.rigid_contact_count,
+                ],
                 outputs=[self._overflow_array, self._most],
                 device=self._wp_device,
             )
             state_in, state_out = state_out, state_in
+
+    def _collide(self, collisions: newton.CollisionPipeline, state: Any) -> None:
+        """Find the contacts with uneven ground; part of :meth:`_substeps`."""
+        collisions.collide(state, self._contacts)
+        narrow: Any = collisions.narrow_phase
+        wp.launch(
+            kernels.note_lost_contacts,
+            dim=self.num_envs,
+            inputs=[
+                narrow.triangle_pairs_count,
+                narrow.triangle_pairs.shape[0],
+                narrow.global_contact_reducer.buffer_overflows,
+                narrow.global_contact_reducer.ht_insert_failures,
+            ],
+            outputs=[self._overflow_array],
+            device=self._wp_device,
+        )
 
     def step(
         self,

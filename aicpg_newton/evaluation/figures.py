@@ -1,4 +1,4 @@
-"""The paper's figures from result folders, without simulating: Fig. 3 a-d, 4 a-e, 5 b, 6, and the command test.
+"""The paper's figures from result folders, without simulating: Fig. 3 a-d, 4 a-e, 5 a-b, 6, and the command test.
 
 What people do is drawn in grey, from these sources:
 
@@ -20,30 +20,26 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import records
 from aicpg_newton.evaluation.plotting import (
     REFERENCE,
     draw_points,
-    mean,
     methods,
     over_seeds,
     say_if_empty,
     slug,
-    std,
 )
-from aicpg_newton.evaluation.protocols import COMMAND, DISTURBANCE, SWEEP, TRANSITION
+from aicpg_newton.evaluation.protocols import COMMAND, DISTURBANCE, PROTOCOLS, SWEEP, TERRAIN, TRAINING, TRANSITION
 from aicpg_newton.evaluation.records import Row
 from aicpg_newton.evaluation.summaries import FLIGHT_THRESHOLD
+from aicpg_newton.evaluation.terrain_figures import trajectories_figure, walking_and_running_figure
 from aicpg_newton.evaluation.transition_figures import speed_and_froude_figure, transition_figure
 from aicpg_newton.humanoid import GRAVITY
 
 _TRANSITION_SPEED = 2.0  # of people [m/s]
 _JOULE_PER_CALORIE = 4.184
-_GAITS = {"walking": 1.5, "running": 3.0}  # Fig. 5 (b) [m/s]
-_NEAR = 0.4  # a row further than this from these speeds does not stand for them [m/s]
 
 
 def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
@@ -57,40 +53,46 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
         The PNG files.
 
     Raises:
-        UserError: There are no results, or two folders hold the same method and seed.
+        UserError: There are no results, two folders hold the same training, or they are of different ground.
     """
-    tables: dict[str, list[Row]] = {name: [] for name in (SWEEP.name, DISTURBANCE.name, TRANSITION.name, COMMAND.name)}
+    tables: dict[str, list[Row]] = {name: [] for name in PROTOCOLS}
     details: dict[tuple[str, int], dict] = {}
+    grounds = []
     for name, rows in tables.items():
         seen: set[tuple] = set()
         for folder in folders:
             if not (folder / f"{name}.csv").exists():
                 continue
             new = records.read_table(folder, name)
-            keys = {(row["method"], row["seed"]) for row in new}
+            keys = {(row["method"], row.get("condition", ""), row["seed"]) for row in new}
             if keys & seen:
-                method, seed = min(keys & seen)
-                raise UserError(
-                    f"two of the folders hold {name} results of {method}, seed {seed:g}; draw one at a time"
-                )
+                method, condition, seed = min(keys & seen)
+                who = f"{method} {condition}".strip()
+                raise UserError(f"two of the folders hold {name} results of {who}, seed {seed:g}; draw one at a time")
             seen |= keys
             rows += new
+            description = records.read_description(folder, name)
+            grounds.append(next((each.get("ground") for each in description["controllers"]), None))
             if name == TRANSITION.name:
-                results = records.read_description(folder, name)["results"]
-                details |= {(each["method"], each["seed"]): each for each in results}
+                details |= {(each["method"], each["seed"]): each for each in description["results"]}
     if not any(tables.values()):
         raise UserError(f"no results in {', '.join(map(str, folders))}; run a protocol into that folder first")
+    if any(ground != grounds[0] for ground in grounds):
+        raise UserError("the folders hold results on different ground; draw those of one ground at a time")
     paths = []
     if tables[SWEEP.name] or tables[DISTURBANCE.name]:
         paths.append(_save(_performance(tables[SWEEP.name], tables[DISTURBANCE.name]), out / "figure_3.png"))
-    if tables[SWEEP.name]:
-        paths.append(_save(_walking_and_running(tables[SWEEP.name]), out / "figure_5b.png"))
     for method in methods(tables[TRANSITION.name]):
         mine = [row for row in tables[TRANSITION.name] if row["method"] == method]
         found = [details[key] for key in details if key[0] == method]
         paths.append(_save(transition_figure(method, mine, found), out / f"figure_4_{slug(method)}.png"))
+    if tables[TRAINING.name]:
+        paths.append(_save(trajectories_figure(tables[TRAINING.name]), out / "figure_5a.png"))
+    if tables[TERRAIN.name]:
+        paths.append(_save(walking_and_running_figure(tables[TERRAIN.name]), out / "figure_5b.png"))
     if tables[TRANSITION.name]:
-        paths.append(_save(speed_and_froude_figure(tables[TRANSITION.name]), out / "figure_6.png"))
+        figure = speed_and_froude_figure(tables[TRANSITION.name], uneven=grounds[0] is not None)
+        paths.append(_save(figure, out / "figure_6.png"))
     if tables[COMMAND.name]:
         paths.append(_save(_commands(tables[COMMAND.name]), out / "command.png"))
     return paths
@@ -124,7 +126,7 @@ def _performance(sweep: list[Row], disturbance: list[Row]) -> Figure:
     )
     for axes, rows, column, title, label in panels:
         for method, style in looks.items():
-            draw_points(axes, over_seeds(rows, method, "frequency_hz", "speed_mps", column), style, method)
+            draw_points(axes, over_seeds(rows, method, "speed_mps", column), style, method)
         axes.set(title=title, xlabel="mean speed of the centre of mass [m/s]", ylabel=label)
         say_if_empty(axes, [row for row in rows if math.isfinite(row["speed_mps"])] or rows, column)
         axes.set_ylim(bottom=0.0)
@@ -140,19 +142,20 @@ def _performance(sweep: list[Row], disturbance: list[Row]) -> Figure:
         if axes.get_legend_handles_labels()[0]:
             axes.legend(fontsize="small")
     figure.supxlabel(
-        "Points: stride frequencies 0.70 to 1.40 Hz, mean (bars: standard deviation) over seeds; hollow: over half of"
-        " the environments fell within 20 s.\nPeople: ¹ Ralston 1958, ² Margaria et al. 1963 (metabolic: compare the"
-        " shape, not the height), ³ Thorstensson and Roberthson 1987.",
+        "Curves: stride frequencies 0.70 to 1.40 Hz; single dots: controllers trained for one speed. Mean over seeds,"
+        " shaded: standard deviation;\nhollow: over half of the environments fell within 20 s. People: ¹ Ralston 1958,"
+        " ² Margaria et al. 1963 (metabolic: compare the shape,\nnot the height), ³ Thorstensson and Roberthson 1987.",
         fontsize="small",
     )
     return figure
 
 
 def _mark_gait_changes(axes: Axes, sweep: list[Row]) -> None:
-    """Dashed lines where the first method's walking ends and its running begins."""
-    if not sweep:
+    """Dashed lines where walking ends and running begins of the first method that has both."""
+    method = next((row["method"] for row in sweep if not row["condition"]), None)
+    if method is None:
         return
-    points = over_seeds(sweep, sweep[0]["method"], "frequency_hz", "speed_mps", "flight_ratio")
+    points = over_seeds(sweep, method, "speed_mps", "flight_ratio")
     stood = points.survived >= 0.5
     speed, flying = points.x[stood], points.y[stood] > FLIGHT_THRESHOLD
     if flying.any() and not flying.all():
@@ -160,59 +163,8 @@ def _mark_gait_changes(axes: Axes, sweep: list[Row]) -> None:
         ends = {0.5 * float(speed[first - 1] + speed[first])} if first else set()
         ends |= {0.5 * float(speed[last] + speed[last + 1])} if last + 1 < len(flying) else set()
         for index, end in enumerate(sorted(ends)):
-            label = f"{sweep[0]['method']} changes gait" if index == 0 else None
+            label = f"{method} changes gait" if index == 0 else None
             axes.axvline(end, color="k", linestyle="--", linewidth=1, label=label)
-
-
-def _walking_and_running(sweep: list[Row]) -> Figure:
-    """Fig. 5 b: of each seed the sweep's row nearest to a walking and to a running speed."""
-    figure = Figure(figsize=(12, 4), layout="constrained")
-    looks = methods(sweep)
-    columns = {
-        "speed_mps": "speed [m/s]",
-        "symmetry_index": "symmetry index",
-        "balance_index": "balance index",
-        "cost_of_transport": "cost of transport",
-    }
-    width = 0.8 / len(looks)
-    for axes, (column, title) in zip(figure.subplots(1, 4), columns.items(), strict=True):
-        for index, (method, style) in enumerate(looks.items()):
-            for place, wanted in enumerate(_GAITS.values()):
-                values = [row[column] for row in _nearest(sweep, method, wanted)]
-                x = place + width * (index - 0.5 * (len(looks) - 1))
-                if not math.isfinite(mean(values)):
-                    axes.text(x, 0.02, "not reached", rotation=90, ha="center", transform=axes.get_xaxis_transform())
-                    continue
-                axes.bar(
-                    *(x, mean(values), 0.9 * width),
-                    yerr=std(values) if len(values) > 1 else None,
-                    color=style.colour,
-                    hatch=style.hatch,
-                    edgecolor="white",
-                    ecolor="black",
-                    capsize=4,
-                )
-                top = mean(values) + (std(values) if len(values) > 1 else 0.0)
-                axes.annotate(f"{mean(values):.2f}", (x, top), (0, 4), textcoords="offset points", ha="center")
-        axes.set(title=title, xticks=range(len(_GAITS)), xlim=(-0.6, len(_GAITS) - 0.4))
-        axes.margins(y=0.12)
-        axes.set_xticklabels([f"{gait}\n{speed} m/s" for gait, speed in _GAITS.items()])
-    handles = [
-        Patch(facecolor=style.colour, hatch=style.hatch, edgecolor="white", label=method)
-        for method, style in looks.items()
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
-    return figure
-
-
-def _nearest(sweep: list[Row], method: str, speed: float) -> list[Row]:
-    """For each seed the row nearest to a speed [m/s], of those near it where at least half the environments stood."""
-    chosen = []
-    for seed in sorted({row["seed"] for row in sweep if row["method"] == method}):
-        rows = [row for row in sweep if (row["method"], row["seed"]) == (method, seed)]
-        near = [row for row in rows if row["survived"] >= 0.5 and abs(row["speed_mps"] - speed) <= _NEAR]
-        chosen += sorted(near, key=lambda row: abs(row["speed_mps"] - speed))[:1]
-    return chosen
 
 
 def _commands(rows: list[Row]) -> Figure:

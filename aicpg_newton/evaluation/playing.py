@@ -8,21 +8,22 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import torch
 
-from aicpg_newton import checkpoint, humanoid
+from aicpg_newton import checkpoint
 from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE, DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.device import resolve_device
-from aicpg_newton.engines import make_engine
-from aicpg_newton.environment import Environment
+from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation.rollout import Agent, Frame, Tally, kinematic_frames, physical_frames, share_out
 from aicpg_newton.learning.runner import Runner
+from aicpg_newton.methods import condition, get_method, on_task
 from aicpg_newton.task import Task, task_from_dict
+from aicpg_newton.terrain import Ground, Terrain
 from aicpg_newton.viewing import FilmstripRow, LiveViewer, Recorder, save_filmstrip
 from aicpg_newton.viewing.filmstrip import POSES
 from aicpg_newton.viewing.output import writable_path
@@ -33,21 +34,25 @@ class PlayOptions:
     """What to play and where to see it."""
 
     checkpoint: Path | None = None
-    """Trained reflex network: a model_*.pt or a run folder; the one that ships for flat ground when not given."""
-    frequency: tuple[float, ...] = (0.9, 1.1, 1.3)
-    """Stride frequencies f [Hz]; the environments are shared out evenly among them."""
+    """Trained network: a model_*.pt or a run folder; the one that ships for the task when not given."""
+    task: str | None = None
+    """Task to play on, flat or uneven; by default the checkpoint's own, and flat without a checkpoint."""
+    terrain_seed: int | None = None
+    """Seed of uneven ground; 1000 when not given, which no training takes by itself."""
+    frequency: tuple[float, ...] = ()
+    """Stride frequencies f [Hz], 0.9, 1.1 and 1.3 when not given; the environments are shared out evenly among them."""
     num_envs: int = 12
     """Number of environments."""
     duration: float = 10.0
     """Simulated time [s]."""
     agent: Literal["policy", "zero", "random", "mocap"] = "policy"
-    """policy: the trained network; zero: the CPG alone; random: noise on the CPG; mocap: the gait without physics."""
+    """policy: the trained network; zero: the CPG alone; random: noise on it; mocap: the gait on a plane, no physics."""
     viewer: Literal["viser", "gl", "rerun", "usd", "none"] = "none"
     """Live viewer; usd writes play.usd."""
     record: Path | None = None
     """Write an mp4 of the first environment."""
     filmstrip: Path | None = None
-    """Write a PNG of one stride per frequency, in eight poses."""
+    """Write a PNG of one stride per frequency, in eight poses; of one second where no frequency sets the stride."""
     device: str = "auto"
     """auto, cpu or cuda:N."""
     engine: str = "auto"
@@ -56,12 +61,16 @@ class PlayOptions:
     """Seed of start states and of the random agent."""
 
 
-def play(options: PlayOptions, default_task: Task) -> Tally:
+_FREQUENCIES = (0.9, 1.1, 1.3)
+_TERRAIN_SEED = 1000
+
+
+def play(options: PlayOptions, task: Task) -> Tally:
     """Let the agent move, show it, and print speed, falls and episode length per frequency.
 
     Args:
         options: What to play and where to see it.
-        default_task: Physics and falls for agents without a checkpoint.
+        task: The task that ``options.task`` names; if it names none, that of agents without a checkpoint.
 
     Raises:
         UserError: An option cannot be met.
@@ -70,26 +79,30 @@ def play(options: PlayOptions, default_task: Task) -> Tally:
     device = resolve_device(options.device)
     path = options.checkpoint
     if path is None and options.agent == "policy":
-        path = checkpoint.shipped(default_task.name)
+        path = checkpoint.shipped(task.name)
     trained = None if path is None else checkpoint.read(path)
     if trained is None:
-        task, pattern = default_task, PatternNetwork.load(DEFAULT_PATTERN)
+        pattern = PatternNetwork.load(DEFAULT_PATTERN)
     else:
-        task = task_from_dict(trained["task"], str(path))
+        own = task_from_dict(trained["task"], str(path))
+        task = own if options.task is None else on_task(own, task)
         pattern = PatternNetwork.from_content(trained["pattern"], str(path))
-    frequency = torch.tensor(options.frequency)[share_out(options.num_envs, len(options.frequency))].to(device)
-    tally = Tally(frequency)
-    if options.agent == "mocap":
-        frames = kinematic_frames(pattern.to(device), frequency, steps, tally)
+    task = replace(task, ground=_ground(options, task), termination=replace(task.termination, episode_steps=steps + 1))
+    mocap = options.agent == "mocap"
+    frequency, title = _conditions(options, None if mocap else task)
+    tally = Tally(frequency.to(device), follows_frequency=not title)
+    terrain = None
+    if mocap:
+        if task.ground.uneven:
+            print("The imitated gait is played back without physics, so it walks on a plane.")
+        frames = kinematic_frames(pattern.to(device), tally.frequency, steps, tally)
     else:
-        task.termination.episode_steps = steps + 1
-        motors = humanoid.motors()
-        engine = make_engine(options.engine, options.num_envs, device, motors, task.physics)
-        environment = Environment(task, engine, pattern, motors, seed=options.seed)
-        environment.frequency = frequency
-        environment.reset(torch.ones(options.num_envs, dtype=torch.bool, device=device))
+        engine = engine_for(task, options.engine, options.num_envs, device)
+        terrain = engine.terrain
+        environment = Environment(task, engine, pattern, seed=options.seed)
+        environment.restart(tally.frequency)
         frames = physical_frames(environment, _agent(options, environment, trained), steps, tally)
-    rows = _show(options, frames, tally)
+    rows = _show(options, frames, tally, terrain, title)
     if options.filmstrip is not None:
         missing = [label for label, row in rows.items() if row is None]
         complete = [row for row in rows.values() if row is not None]
@@ -98,7 +111,7 @@ def play(options: PlayOptions, default_task: Task) -> Tally:
                 f"No whole stride without a fall within --duration at {', '.join(missing)}: left out of the filmstrip."
             )
         if complete:
-            save_filmstrip(options.filmstrip, complete)
+            save_filmstrip(options.filmstrip, complete, terrain)
             print(f"Filmstrip: {options.filmstrip}")
     if options.record is not None:
         print(f"Recording: {options.record}")
@@ -108,10 +121,6 @@ def play(options: PlayOptions, default_task: Task) -> Tally:
 
 def _check(options: PlayOptions) -> int:
     """Number of control steps, once all options make sense."""
-    if options.num_envs < len(options.frequency) or not options.frequency:
-        raise UserError(
-            f"--num-envs is {options.num_envs} for {len(options.frequency)} frequencies; give at least one each"
-        )
     if not all(math.isfinite(f) and f > 0 for f in options.frequency):
         raise UserError(f"--frequency is {options.frequency}; give positive numbers in Hz")
     if not (math.isfinite(options.duration) and options.duration >= CONTROL_DT):
@@ -119,6 +128,36 @@ def _check(options: PlayOptions) -> int:
     if options.filmstrip is not None:
         writable_path(options.filmstrip, ".png")
     return round(options.duration * CONTROL_RATE)
+
+
+def _ground(options: PlayOptions, task: Task) -> Ground:
+    """The task's ground with the seed asked for, and its full heights everywhere: levels are for training."""
+    if not task.ground.uneven:
+        if options.terrain_seed is not None:
+            raise UserError(
+                f"--terrain-seed is {options.terrain_seed}, but the ground of task {task.name!r} is a plane;"
+                " give --task uneven or leave the seed out"
+            )
+        return task.ground
+    return task.ground.unseen(_TERRAIN_SEED if options.terrain_seed is None else options.terrain_seed)
+
+
+def _conditions(options: PlayOptions, task: Task | None) -> tuple[torch.Tensor, str]:
+    """Stride frequency of each environment, shape [num_envs], and the title of a network that it means nothing to.
+
+    Args:
+        options: What to play.
+        task: The task that is played; None for the imitated gait, which follows the frequency.
+    """
+    frequencies, title = options.frequency or _FREQUENCIES, ""
+    if task is not None and not get_method(task.method).follows_frequency:
+        title = f"{get_method(task.method).title} {condition(task)}"
+        if options.frequency:
+            raise UserError(f"--frequency does nothing to a network trained as {title}; leave it out")
+        frequencies = (1.0,)  # the clock of such a network's filmstrip alone
+    if options.num_envs < len(frequencies):
+        raise UserError(f"--num-envs is {options.num_envs} for {len(frequencies)} frequencies; give at least one each")
+    return torch.tensor(frequencies)[share_out(options.num_envs, len(frequencies))], title
 
 
 def _agent(options: PlayOptions, environment: Environment, trained: dict | None) -> Agent:
@@ -143,27 +182,40 @@ def load_policy(environment: Environment, trained: dict) -> Agent:
     """
     with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints the layers of every network it makes
         runner = Runner(environment, trained["run"])
-    runner.restore(trained, play_only=True)
+    runner.take_networks(trained, "actor")
     policy = runner.policy()
     return lambda observed: policy({"policy": observed})
 
 
-def _show(options: PlayOptions, frames: Iterator[Frame], tally: Tally) -> dict[str, FilmstripRow | None]:
-    """Run through the frames, showing and recording them; returns a filmstrip row per frequency."""
-    first = {f"{f:.2f} Hz": int((tally.frequency == f).nonzero()[0]) for f in tally.frequency.unique().tolist()}
+def _show(
+    options: PlayOptions, frames: Iterator[Frame], tally: Tally, terrain: Terrain | None, title: str
+) -> dict[str, FilmstripRow | None]:
+    """Run through the frames, showing and recording them; returns a filmstrip row per frequency.
+
+    Args:
+        options: Where to see it.
+        frames: Poses, one control step after the other.
+        tally: What they count in.
+        terrain: Shape of the ground; None for a plane.
+        title: What is shown in place of a frequency, if any.
+    """
+    first = {
+        title or f"{f:.2f} Hz": int((tally.frequency == f).nonzero()[0]) for f in tally.frequency.unique().tolist()
+    }
     stride = {label: math.ceil(CONTROL_RATE / float(tally.frequency[env])) for label, env in first.items()}
     kept: dict[str, deque[tuple[int, float, Frame]]] = {}
     strips: dict[str, FilmstripRow | None] = dict.fromkeys(first)
     with ExitStack() as stack:
-        viewer = stack.enter_context(LiveViewer(options.viewer, options.num_envs, Path("play.usd")))
-        recorder = None if options.record is None else stack.enter_context(Recorder(options.record))
+        viewer = stack.enter_context(LiveViewer(options.viewer, options.num_envs, Path("play.usd"), terrain))
+        recorder = None if options.record is None else stack.enter_context(Recorder(options.record, terrain=terrain))
         for step, frame in enumerate(frames, start=1):
             if not viewer.is_running():
                 break
             time = step * CONTROL_DT
             viewer.show(frame.root_position, frame.root_rotation, frame.joint_position, time)
             if recorder is not None:
-                caption = f"f = {float(tally.frequency[0]):.2f} Hz   {_speed(tally, 0):.2f} m/s   t = {time:.1f} s"
+                name = title or f"f = {float(tally.frequency[0]):.2f} Hz"
+                caption = f"{name}   {_speed(tally, 0):.2f} m/s   t = {time:.1f} s"
                 recorder.add(frame.root_position[:1], frame.root_rotation[:1], frame.joint_position[:1], caption)
             if options.filmstrip is None:
                 continue

@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
 
 from aicpg_newton.cpg import CONTROL_RATE
 from aicpg_newton.task import Pushes
 
 FREQUENCIES = tuple(round(0.70 + 0.05 * i, 2) for i in range(15))
 """Stride frequencies 0.70 to 1.40 Hz (paper, Sec. III-A)."""
+
+GAITS = {"walking": 0.9, "running": 1.3}
+"""Stride frequencies that stand for walking and for running, near those of the imitated clips [Hz]."""
+
+TERRAIN_SEEDS = (1001, 1002, 1003, 1004, 1005)
+"""Seeds of the terrain for tests; training never uses them unless it is told to."""
+
+_Item = TypeVar("_Item")
 
 
 @dataclass(frozen=True)
@@ -31,7 +42,11 @@ class Protocol:
     push_interval: float = 1.0
     """Time from push to push [s]."""
     checkpoints: int = 1
-    """How many of a run folder's last checkpoints are tested."""
+    """How many of a run folder's checkpoints are tested: the last ones."""
+    whole_training: bool = False
+    """Whether the checkpoints are spread evenly over the training instead."""
+    every_terrain: bool = False
+    """Whether it is done on the terrain of every seed; other protocols use the first."""
     commanded_speeds: int = 0
     """Number of speeds to command in place of ``frequencies``, evenly spread over those of the seed's own sweep."""
 
@@ -45,9 +60,21 @@ class Protocol:
         """Number of groups the environments are shared out among."""
         return self.commanded_speeds or len(self.frequencies)
 
+    @property
+    def turns_the_frequency(self) -> bool:
+        """Whether it asks for another speed by another stride frequency, so that others cannot take part."""
+        return bool(self.ramp or self.commanded_speeds)
+
     def pushes(self) -> Pushes:
         """The pushes as a task's settings."""
         return Pushes(force=self.push_force, duration=self.push_duration, interval=self.push_interval)
+
+    def pick(self, files: list[_Item]) -> list[_Item]:
+        """Those of a run's checkpoints, oldest first, that are tested."""
+        if not self.whole_training:
+            return files[-self.checkpoints :]
+        even = np.linspace(0, len(files) - 1, min(self.checkpoints, len(files)))
+        return [files[index] for index in even.round().astype(int)]
 
 
 SWEEP = Protocol(
@@ -55,8 +82,8 @@ SWEEP = Protocol(
     duration=20.0,
     frequencies=FREQUENCIES,
     columns=(
-        *("method", "frequency_hz", "seed", "speed_mps", "cost_of_transport", "symmetry_index", "balance_index"),
-        *("froude", "flight_ratio", "survived", "falls_per_minute", "reason"),
+        *("method", "condition", "frequency_hz", "seed", "speed_mps", "cost_of_transport", "symmetry_index"),
+        *("balance_index", "froude", "flight_ratio", "survived", "falls_per_minute", "reason"),
     ),
 )
 """Measures of steady locomotion at each frequency (Fig. 3 a, b, d)."""
@@ -65,7 +92,7 @@ DISTURBANCE = Protocol(
     name="disturbance",
     duration=60.0,
     frequencies=FREQUENCIES,
-    columns=("method", "frequency_hz", "seed", "iteration", "speed_mps", "falls_per_minute", "reason"),
+    columns=("method", "condition", "frequency_hz", "seed", "iteration", "speed_mps", "falls_per_minute", "reason"),
     push_force=200.0,
     checkpoints=5,
 )
@@ -92,5 +119,31 @@ COMMAND = Protocol(
 )
 """A speed is turned into a frequency by the sweep's curve and then walked or run: how far off is it?"""
 
-PROTOCOLS = {protocol.name: protocol for protocol in (SWEEP, DISTURBANCE, TRANSITION, COMMAND)}
-"""In the order in which ``all`` runs them; ``command`` needs the sweep."""
+TERRAIN = Protocol(
+    name="terrain",
+    duration=20.0,
+    frequencies=tuple(GAITS.values()),
+    columns=(
+        *("method", "condition", "gait", "frequency_hz", "seed", "terrain_seed", "speed_mps", "symmetry_index"),
+        *("balance_index", "cost_of_transport", "flight_ratio", "survived", "falls_per_minute"),
+        *("sole_penetration_m", "sole_hover_m", "reason"),
+    ),
+    every_terrain=True,
+)
+"""Walking and running on terrain that the controller has never seen (Fig. 5 b)."""
+
+TRAINING = Protocol(
+    name="training",
+    duration=10.0,
+    frequencies=tuple(GAITS.values()),
+    columns=(
+        *("method", "condition", "gait", "frequency_hz", "seed", "iteration", "environment"),
+        *("time_s", "x_m", "y_m", "vx_mps", "vy_mps", "reason"),
+    ),
+    checkpoints=12,
+    whole_training=True,
+)
+"""Where robots go that are controlled by the checkpoints of a training, from its first to its last (Fig. 5 a)."""
+
+PROTOCOLS = {protocol.name: protocol for protocol in (SWEEP, DISTURBANCE, TRANSITION, COMMAND, TERRAIN, TRAINING)}
+"""In the order in which they are run; ``command`` needs the sweep."""

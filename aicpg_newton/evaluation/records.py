@@ -1,7 +1,9 @@
 """Results on disk: per protocol one tidy CSV file of numbers and one JSON file with where they come from.
 
-A cell without a number is empty, never NaN, and then the row's ``reason`` says why. A folder holds the results of one
-evaluation: files that exist are never overwritten, and a protocol may be added only for the same controllers.
+A cell without a number is empty, never NaN, and then the row's ``reason`` says why. Only what a controller was told may
+be empty without a reason: a row has a stride frequency, or the condition of a controller that follows none. A folder
+holds the results of one evaluation: files that exist are never overwritten, and a protocol may be added only for the
+same controllers on the same ground.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from aicpg_newton.evaluation.protocols import PROTOCOLS
 Row = dict[str, Any]
 """Column to number or text; None or NaN for a cell without a number."""
 
-_TEXT = ("method", "reason")
+_TEXT = ("method", "condition", "gait", "reason")
+_TOLD = ("frequency_hz", "condition")
 
 
 def prepare(folder: Path, names: Iterable[str], controllers: list[dict[str, Any]]) -> None:
@@ -41,7 +44,7 @@ def prepare(folder: Path, names: Iterable[str], controllers: list[dict[str, Any]
     for name in PROTOCOLS:
         path = folder / f"{name}.json"
         if path.exists() and read_description(folder, name)["controllers"] != controllers:
-            raise UserError(f"{folder} holds results of other controllers; give --out another folder")
+            raise UserError(f"{folder} holds results of other controllers or ground; give --out another folder")
     make_folder(folder)
 
 
@@ -71,7 +74,8 @@ def write(folder: Path, name: str, rows: Sequence[Row], description: dict[str, A
     columns = PROTOCOLS[name].columns
     lines = [{column: _cell(row[column]) for column in columns} for row in rows]
     for line in lines:
-        assert line["reason"] or all(line[column] for column in columns if column != "reason"), line
+        needed = [text for column, text in line.items() if column not in ("reason", *_TOLD)]
+        assert line["reason"] or (all(needed) and any(line.get(column) for column in _TOLD)), line
     temporary = folder / f"{name}.partial"
     with temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns, lineterminator="\n")

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import torch
 
 from aicpg_newton.cpg import CONTROL_DT, PatternNetwork, advance_phase
-from aicpg_newton.environment import Environment, gait_pose
+from aicpg_newton.environment import Environment
+from aicpg_newton.gait import gait_pose
 
 Agent = Callable[[torch.Tensor], torch.Tensor]
 """Observations [num_envs, 192] to reflex actions [num_envs, 28]."""
@@ -41,6 +42,8 @@ class Tally:
 
     frequency: torch.Tensor
     """Stride frequency [Hz]."""
+    follows_frequency: bool = True
+    """Whether that does anything; if not, the table does not name it."""
     steps: int = 0
     """Control steps done."""
     distance: torch.Tensor = field(init=False)
@@ -71,9 +74,8 @@ class Tally:
             mine = self.frequency == frequency
             count, falls = int(mine.sum()), int(self.falls[mine].sum())
             speed = float(self.distance[mine].mean()) / duration
-            lines.append(
-                f"{frequency:8.2f}{count:14d}{speed:13.2f}{falls:8d}{duration * count / (count + falls):13.1f}"
-            )
+            name = f"{frequency:.2f}" if self.follows_frequency else "-"
+            lines.append(f"{name:>8}{count:14d}{speed:13.2f}{falls:8d}{duration * count / (count + falls):13.1f}")
         return "\n".join(lines)
 
 

@@ -3,87 +3,47 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import importlib.metadata
 import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 import aicpg_newton
 from aicpg_newton import checkpoint, humanoid, metrics
-from aicpg_newton.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.device import resolve_device
-from aicpg_newton.engines import Engine, make_engine
-from aicpg_newton.environment import Environment
+from aicpg_newton.engines import Engine
+from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError
-from aicpg_newton.evaluation import records, summaries
+from aicpg_newton.evaluation import records, summaries, terrain_summaries
+from aicpg_newton.evaluation.controllers import Controller, ground_of
 from aicpg_newton.evaluation.playing import load_policy
-from aicpg_newton.evaluation.protocols import COMMAND, DISTURBANCE, PROTOCOLS, SWEEP, TRANSITION, Protocol
+from aicpg_newton.evaluation.protocols import (
+    COMMAND,
+    DISTURBANCE,
+    PROTOCOLS,
+    SWEEP,
+    TERRAIN,
+    TERRAIN_SEEDS,
+    TRAINING,
+    TRANSITION,
+    Protocol,
+)
 from aicpg_newton.evaluation.recording import SHORTEST, WARM_UP, Recording, record
 from aicpg_newton.evaluation.summaries import Source
-from aicpg_newton.task import Task, task_from_dict
+from aicpg_newton.task import Task
 
-METHOD = "AI-CPG"
-"""Method of checkpoints that do not name another one."""
-
-
-@dataclass
-class Controller:
-    """One training of a method (its seed), or the CPG alone."""
-
-    method: str
-    seed: int
-    task: Task
-    pattern: PatternNetwork
-    files: list[Path] = field(default_factory=list)
-    """Checkpoints, oldest first; none for the CPG alone."""
-
-    def description(self) -> dict[str, Any]:
-        """What the results say of it: names, seed and the SHA-256 of every checkpoint file."""
-        return {
-            "method": self.method,
-            "seed": self.seed,
-            "task": self.task.name,
-            "checkpoints": [
-                {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()} for path in self.files
-            ],
-        }
-
-
-def cpg_alone(task: Task, seed: int) -> Controller:
-    """The pattern network without reflexes."""
-    return Controller("CPG alone", seed, task, PatternNetwork.load(DEFAULT_PATTERN))
-
-
-def trained(path: Path, task: Task | None = None) -> Controller:
-    """The training that a checkpoint comes from.
-
-    Args:
-        path: Checkpoint, or run folder: then its last five, of which most protocols use the last.
-        task: Task to be tested on, with the checkpoint's reflex; None for the one it was trained on.
-
-    Raises:
-        UserError: A checkpoint is missing, torn or of another version.
-    """
-    files = checkpoint.all_of(path)[-DISTURBANCE.checkpoints :] if path.is_dir() else [path]
-    content = checkpoint.read(files[-1])
-    own = task_from_dict(content["task"], str(path))
-    if task is not None:
-        own = replace(task, reflex=own.reflex, learning=own.learning)
-    pattern = PatternNetwork.from_content(content["pattern"], str(path))
-    return Controller(content["run"].get("method", METHOD), int(content["run"]["seed"]), own, pattern, files)
+_IDLE = 1.0  # stride frequency of the rhythm generator where nothing follows it [Hz]
 
 
 @dataclass
 class Laboratory:
-    """Where controllers are tested; engines are built once for each kind of physics.
+    """Where controllers are tested; engines are built once for each kind of physics, ground and motors.
 
     Args:
         num_envs: Number of environments, shared out evenly among a protocol's conditions.
@@ -91,6 +51,7 @@ class Laboratory:
         device: Torch device's name, or ``auto``.
         seed: Seed of start states and pushes.
         show: Whether to draw a progress bar on stderr.
+        terrain_seeds: Seeds of the ground; on a plane they change nothing.
     """
 
     num_envs: int
@@ -98,37 +59,48 @@ class Laboratory:
     device: str = "auto"
     seed: int = 0
     show: bool = False
+    terrain_seeds: tuple[int, ...] = TERRAIN_SEEDS
 
     def __post_init__(self) -> None:
         self._device = resolve_device(self.device)
         self._engines: list[Engine] = []
-        self._physics: list[Any] = []
+        self._worlds: list[Any] = []
 
     def engine_of(self, task: Task) -> Engine:
-        """The engine with the task's physics."""
-        if task.physics not in self._physics:
-            engine = make_engine(self.engine, self.num_envs, self._device, humanoid.motors(), task.physics)
-            self._physics.append(copy.deepcopy(task.physics))
-            self._engines.append(engine)
-        return self._engines[self._physics.index(task.physics)]
+        """The engine with the task's physics and ground and its method's motors."""
+        world = (task.physics, task.ground, task.method)
+        if world not in self._worlds:
+            self._engines.append(engine_for(task, self.engine, self.num_envs, self._device))
+            self._worlds.append(copy.deepcopy(world))
+        return self._engines[self._worlds.index(world)]
 
     def test(
-        self, protocol: Protocol, frequencies: torch.Tensor, controller: Controller, file: Path | None
-    ) -> tuple[Recording, int]:
-        """Run a protocol with one checkpoint; returns the recording and the checkpoint's training iteration."""
-        task = copy.deepcopy(controller.task)
+        self,
+        protocol: Protocol,
+        frequencies: torch.Tensor,
+        controller: Controller,
+        content: dict[str, Any] | None,
+        terrain_seed: int,
+    ) -> Recording:
+        """Run a protocol with one checkpoint.
+
+        Args:
+            protocol: What is done.
+            frequencies: Stride frequency of each condition [Hz]; NaN for a controller that follows none.
+            controller: Who is tested.
+            content: Content of the checkpoint; None for no reflexes.
+            terrain_seed: Seed of the ground, unless that is a plane.
+        """
+        task = on_terrain(controller.task, terrain_seed)
         task.pushes = protocol.pushes()
         task.termination.episode_steps = protocol.steps + 1
-        environment = Environment(
-            task, self.engine_of(task), controller.pattern, humanoid.motors().to(self._device), seed=self.seed
-        )
-        iteration, agent = 0, _no_reflex
-        if file is not None:
-            content = checkpoint.read(file)
-            iteration, agent = content["iteration"], load_policy(environment, content)
-        label = f"{protocol.name:12}{controller.method}, seed {controller.seed}, iteration {iteration}"
+        environment = Environment(task, self.engine_of(task), controller.pattern, seed=self.seed)
+        agent = _no_reflex if content is None else load_policy(environment, content)
+        label = f"{protocol.name:12}{controller.title}, iteration {0 if content is None else content['iteration']}"
+        if protocol.every_terrain:
+            label += f", terrain {terrain_seed}"
         bar = _bar(label, protocol.steps) if self.show else _no_bar
-        return record(protocol, frequencies, environment, agent, bar), iteration
+        return record(protocol, torch.nan_to_num(frequencies, nan=_IDLE), environment, agent, bar)
 
     def facts(self) -> dict[str, Any]:
         """Engine, device, seed and versions, for the JSON files."""
@@ -151,24 +123,62 @@ class Laboratory:
         }
 
 
-def check(protocols: Sequence[Protocol], controllers: Sequence[Controller], num_envs: int) -> None:
+def on_terrain(task: Task, terrain_seed: int) -> Task:
+    """A copy of a task on the terrain of this seed, with its full heights everywhere; a plane stays one."""
+    task = copy.deepcopy(task)
+    if task.ground.uneven:
+        task.ground = task.ground.unseen(terrain_seed)
+    return task
+
+
+def check(protocols: Sequence[Protocol], controllers: Sequence[Controller], laboratory: Laboratory) -> None:
     """Refuse what cannot be evaluated, before any work is done.
 
     Raises:
-        UserError: Too few environments, or two controllers that the results could not tell apart.
+        UserError: Too few environments, controllers that the results could not tell apart or compare, terrain that a
+            controller was trained on, or a protocol without what it needs.
     """
     most = max(protocols, key=lambda each: each.conditions)
-    if num_envs < most.conditions:
+    needed = most.conditions if any(controller.follows_frequency for controller in controllers) else 1
+    if laboratory.num_envs < needed:
         raise UserError(
-            f"--num-envs is {num_envs}, but the {most.name} protocol has {most.conditions} conditions;"
+            f"--num-envs is {laboratory.num_envs}, but the {most.name} protocol has {needed} conditions;"
             " give at least one environment each"
         )
-    names = [(each.method, each.seed) for each in controllers]
-    for name in names:
-        if names.count(name) > 1:
+    titles = [controller.title for controller in controllers]
+    for title in titles:
+        if titles.count(title) > 1:
             raise UserError(
-                f"two checkpoints are of method {name[0]} and seed {name[1]}; give one for each seed, or evaluate them"
-                " into two folders"
+                f"two checkpoints are of {title}; give one for each seed and condition, or evaluate them into two"
+                " folders"
+            )
+    grounds = [ground_of(controller.task, laboratory.terrain_seeds) for controller in controllers]
+    if any(ground != grounds[0] for ground in grounds):
+        raise UserError("the checkpoints were trained on different ground; say with --task which one to test on")
+    if grounds[0] is not None:
+        _check_terrain(controllers, laboratory.terrain_seeds)
+    for protocol in protocols:
+        if protocol.every_terrain and grounds[0] is None:
+            raise UserError(f"the {protocol.name} protocol needs uneven ground; give --task uneven")
+        single = [controller.title for controller in controllers if len(controller.files) < 2]
+        if protocol.whole_training and single:
+            raise UserError(
+                f"the {protocol.name} protocol goes through the checkpoints of a training, and {single[0]} has no more"
+                " than one; give --checkpoint its run folder"
+            )
+
+
+def _check_terrain(controllers: Sequence[Controller], terrain_seeds: tuple[int, ...]) -> None:
+    """Refuse seeds that cannot be, or that a controller was trained on."""
+    if len(set(terrain_seeds)) < len(terrain_seeds):
+        raise UserError(f"--terrain-seed is {terrain_seeds}; give each seed once")
+    for controller in controllers:
+        for terrain_seed in terrain_seeds:
+            on_terrain(controller.task, terrain_seed).validate()
+        if controller.terrain_seed in terrain_seeds:
+            raise UserError(
+                f"{controller.title} was trained on the terrain of seed {controller.terrain_seed}; give other"
+                " --terrain-seed, so that it has never seen the ground"
             )
 
 
@@ -178,33 +188,48 @@ def evaluate(
     """Run protocols with controllers and write their CSV and JSON files.
 
     Args:
-        protocols: What to do; ``command`` brings the sweep along where the folder holds none.
-        controllers: Each of another method or seed.
+        protocols: What to do; ``command`` brings the sweep along where the folder holds none. Controllers that follow
+            no stride frequency are left out where it is turned.
+        controllers: Each of another method, condition or seed; all on the same ground.
         laboratory: Where they are tested.
         folder: Where results go; nothing in it is overwritten.
 
     Raises:
         UserError: The options or the folder do not allow it.
     """
-    wanted = {protocol.name: protocol for protocol in protocols}
+    check(protocols, controllers, laboratory)
+    wanted = {each.name: each for each in protocols if _participants(each, controllers)}
+    if not wanted:
+        raise UserError(
+            f"the {protocols[0].name} protocol turns the stride frequency, which {controllers[0].title} does not"
+            " follow; choose another protocol"
+        )
     if COMMAND.name in wanted and not (folder / f"{SWEEP.name}.csv").exists():
         wanted.setdefault(SWEEP.name, SWEEP)  # whose curve the commands need
-    chosen = [wanted[name] for name in PROTOCOLS if name in wanted]
-    check(chosen, controllers, laboratory.num_envs)
-    identity = [controller.description() for controller in controllers]
+        check([SWEEP], controllers, laboratory)
+    identity = [
+        {**controller.description(), "ground": ground_of(controller.task, laboratory.terrain_seeds)}
+        for controller in controllers
+    ]
     records.prepare(folder, wanted, identity)
-    for protocol in chosen:
+    for protocol in protocols:
+        out = [controller.title for controller in controllers if controller not in _participants(protocol, controllers)]
+        if out:
+            print(
+                f"The {protocol.name} protocol turns the stride frequency; left out, as they follow none:"
+                f" {'; '.join(out)}.",
+                file=sys.stderr,
+            )
+    for protocol in [wanted[name] for name in PROTOCOLS if name in wanted]:
         began = time.perf_counter()
         rows: list[records.Row] = []
         results = []
-        for controller in controllers:
-            files: list[Path | None] = [*controller.files[-protocol.checkpoints :]] or [None]
+        for controller in _participants(protocol, controllers):
+            files: list[Path | None] = [*protocol.pick(controller.files)] or [None]
             for file in files:
-                new, summary, iteration = _one(protocol, controller, file, laboratory, folder)
+                new, result = _one(protocol, controller, file, laboratory, folder)
                 rows += new
-                results.append(
-                    {"method": controller.method, "seed": controller.seed, "iteration": iteration, **summary}
-                )
+                results.append(result)
         description = {
             "protocol": asdict(protocol),
             "controllers": identity,
@@ -216,34 +241,52 @@ def evaluate(
         records.write(folder, protocol.name, rows, description)
 
 
+def _participants(protocol: Protocol, controllers: Sequence[Controller]) -> list[Controller]:
+    """Controllers that can do what a protocol asks for."""
+    return [each for each in controllers if each.follows_frequency or not protocol.turns_the_frequency]
+
+
 def _one(
     protocol: Protocol, controller: Controller, file: Path | None, laboratory: Laboratory, folder: Path
-) -> tuple[list[records.Row], dict[str, Any], int]:
-    """Rows and summary of one checkpoint, and its training iteration."""
-    speeds = np.empty(0)
-    frequencies = torch.tensor(protocol.frequencies)
-    source = Source(controller.method, controller.seed, 0)
-    if protocol.commanded_speeds:
+) -> tuple[list[records.Row], dict[str, Any]]:
+    """Rows and entry in ``results`` of one checkpoint."""
+    content = None if file is None else checkpoint.read(file)
+    iteration = 0 if content is None else int(content["iteration"])
+    source = Source(controller.method, controller.seed, iteration, controller.condition, controller.gait)
+    frequencies = torch.tensor(protocol.frequencies if controller.follows_frequency else (torch.nan,))
+    reading = _READINGS.get(protocol.name)
+    rows: list[records.Row] = []
+    summary: dict[str, Any] = {}
+    first, *others = laboratory.terrain_seeds
+    if reading is None:
         sweep = records.read_table(folder, SWEEP.name)
         speeds, given = summaries.commands(sweep, source, protocol.commanded_speeds)
-        if not len(speeds):
-            laboratory.engine_of(controller.task)  # the results name it
-            return *summaries.no_commands(source), 0
-        frequencies = torch.from_numpy(given).float()
-    recording, iteration = laboratory.test(protocol, frequencies, controller, file)
-    source = replace(source, iteration=iteration)
-    if protocol.commanded_speeds:
-        rows, summary = summaries.command_rows(recording, frequencies, speeds, source)
+        if len(speeds):
+            frequencies = torch.from_numpy(given).float()
+            recording = laboratory.test(protocol, frequencies, controller, content, first)
+            rows, summary = summaries.command_rows(recording, frequencies, speeds, source)
+        else:
+            laboratory.engine_of(on_terrain(controller.task, first))  # the results name it
+            rows, summary = summaries.no_commands(source)
     else:
-        rows, summary = _READINGS[protocol.name](recording, frequencies, source)
-    return rows, summary, iteration
+        for terrain_seed in (first, *(others if protocol.every_terrain else ())):
+            recording = laboratory.test(protocol, frequencies, controller, content, terrain_seed)
+            new, summary = reading(recording, frequencies, replace(source, terrain_seed=terrain_seed))
+            rows += new
+        if protocol.every_terrain:
+            summary = terrain_summaries.over_terrains(rows)
+    names = {"method": controller.method, "condition": controller.condition, "seed": controller.seed}
+    return rows, {**names, "iteration": iteration, **summary}
 
 
 _READINGS: dict[str, Callable[[Recording, torch.Tensor, Source], tuple[list[records.Row], dict[str, Any]]]] = {
     SWEEP.name: summaries.sweep_rows,
     DISTURBANCE.name: summaries.disturbance_rows,
     TRANSITION.name: summaries.transition_rows,
+    TERRAIN.name: terrain_summaries.terrain_rows,
+    TRAINING.name: terrain_summaries.training_rows,
 }
+"""What is read off each protocol; speeds to command come from the sweep."""
 
 
 def _definitions() -> dict[str, Any]:
@@ -257,6 +300,7 @@ def _definitions() -> dict[str, Any]:
         "flight_threshold_in_a_window": summaries.FLIGHT_THRESHOLD,
         "total_mass_kg": humanoid.TOTAL_MASS,
         "leg_length_m": humanoid.LEG_LENGTH,
+        "points_along_and_across_a_sole": metrics.SOLE_GRID,
         "falls": "pelvis low or tilted, or facing away from the target by more than the task's angle",
     }
 

@@ -12,7 +12,7 @@ import torch
 from aicpg_newton import metrics
 from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE
 from aicpg_newton.evaluation.protocols import COMMAND
-from aicpg_newton.evaluation.recording import SHORTEST, Recording
+from aicpg_newton.evaluation.recording import SHORTEST, Recording, sole_clearance
 from aicpg_newton.evaluation.records import Row
 
 FLIGHT_THRESHOLD = 1.5 / 60
@@ -39,6 +39,16 @@ class Source:
     seed: int
     iteration: int
     """Training iteration of the checkpoint."""
+    condition: str = ""
+    """What it was trained for; empty where it follows a stride frequency."""
+    gait: str = ""
+    """The one gait it has; empty where a stride frequency tells."""
+    terrain_seed: int = 0
+    """Seed of the terrain it is on, if it is not on a plane."""
+
+    def row(self, frequency: float) -> Row:
+        """The columns that name a row; the frequency [Hz] is NaN for a controller that follows none."""
+        return {"method": self.method, "condition": self.condition, "frequency_hz": frequency, "seed": self.seed}
 
 
 def _mean(values: torch.Tensor) -> float:
@@ -52,7 +62,7 @@ def _std(values: torch.Tensor) -> float:
     return float(finite.std(correction=0)) if len(finite) else math.nan
 
 
-def _groups(recording: Recording, conditions: int) -> list[Recording]:
+def groups(recording: Recording, conditions: int) -> list[Recording]:
     """The recording of each condition."""
     return [recording.among(recording.condition == index) for index in range(conditions)]
 
@@ -60,7 +70,7 @@ def _groups(recording: Recording, conditions: int) -> list[Recording]:
 def steady_measures(recording: Recording) -> dict[str, torch.Tensor]:
     """All measures of steady locomotion, each of shape [num_envs]; NaN where an environment did not last.
 
-    They count the steps after the first second and before the first fall, if these are a second or more.
+    They count the steps of the first episode after its first second, if these are a second or more.
     """
     valid = recording.settled
     valid = valid & (valid.sum(dim=0) >= SHORTEST)
@@ -78,35 +88,47 @@ def steady_measures(recording: Recording) -> dict[str, torch.Tensor]:
     }
 
 
+def sole_measures(recording: Recording) -> dict[str, torch.Tensor]:
+    """How deep feet in contact are in the ground and how high above it [m], each of shape [num_envs].
+
+    All steps of the first episode count: even a robot that soon falls can be seen to sink in.
+    """
+    depth, hover = metrics.sole_penetration(sole_clearance(recording), recording.contact, recording.standing)
+    return {"sole_penetration_m": depth, "sole_hover_m": hover}
+
+
+def steady_row(recording: Recording, frequency: float, source: Source) -> Row:
+    """All that is read off one condition of steady locomotion, in the columns of any protocol."""
+    measures = {name: _mean(values) for name, values in steady_measures(recording).items()}
+    speed = measures["speed_mps"]
+    reasons = []
+    if math.isnan(speed):
+        reasons.append("every environment fell before it had walked for two seconds")
+    else:
+        if math.isnan(measures["cost_of_transport"]):
+            reasons.append("no forward motion: no cost of transport")
+        if math.isnan(measures["symmetry_index"]) or math.isnan(measures["flight_ratio"]):
+            reasons.append("no whole stride: no symmetry index or flight ratio")
+    return {
+        **source.row(frequency),
+        **measures,
+        **{name: _mean(values) for name, values in sole_measures(recording).items()},
+        "froude": float(metrics.froude_number(torch.tensor(speed))),
+        "survived": float((~recording.fallen.any(dim=0)).float().mean()),
+        "falls_per_minute": _mean(metrics.falls_per_minute(recording.fallen)),
+        "reason": "; ".join(reasons),
+    }
+
+
 def sweep_rows(recording: Recording, frequencies: torch.Tensor, source: Source) -> tuple[list[Row], dict[str, Any]]:
-    """A row per frequency, and stride frequency and duty factor for the summary."""
-    rows, strides = [], []
-    for frequency, group in zip(frequencies.tolist(), _groups(recording, len(frequencies)), strict=True):
-        measures = {name: _mean(values) for name, values in steady_measures(group).items()}
-        speed = measures["speed_mps"]
-        reasons = []
-        if math.isnan(speed):
-            reasons.append("every environment fell before it had walked for two seconds")
-        else:
-            if math.isnan(measures["cost_of_transport"]):
-                reasons.append("no forward motion: no cost of transport")
-            if math.isnan(measures["symmetry_index"]) or math.isnan(measures["flight_ratio"]):
-                reasons.append("no whole stride: no symmetry index or flight ratio")
-        rows.append(
-            {
-                "method": source.method,
-                "frequency_hz": frequency,
-                "seed": source.seed,
-                **measures,
-                "froude": float(metrics.froude_number(torch.tensor(speed))),
-                "survived": float((~group.fallen.any(dim=0)).float().mean()),
-                "falls_per_minute": _mean(metrics.falls_per_minute(group.fallen)),
-                "reason": "; ".join(reasons),
-            }
-        )
-        names = ("stride_frequency_hz", "duty_factor", "flight_share_of_strides")
-        strides.append({"frequency_hz": frequency, **{name: measures[name] for name in names}})
-    return rows, {"strides": strides}
+    """A row per frequency; strides and feet on the ground for the summary."""
+    rows = [
+        steady_row(group, frequency, source)
+        for frequency, group in zip(frequencies.tolist(), groups(recording, len(frequencies)), strict=True)
+    ]
+    names = ("frequency_hz", "stride_frequency_hz", "duty_factor", "flight_share_of_strides")
+    names += ("sole_penetration_m", "sole_hover_m")
+    return rows, {"strides": [{name: row[name] for name in names} for row in rows]}
 
 
 def disturbance_rows(
@@ -122,9 +144,7 @@ def disturbance_rows(
         speed = metrics.masked_mean(recording.speed[:, mine].reshape(-1, 1), valid[:, mine].reshape(-1, 1))
         rows.append(
             {
-                "method": source.method,
-                "frequency_hz": frequency,
-                "seed": source.seed,
+                **source.row(frequency),
                 "iteration": source.iteration,
                 "speed_mps": float(speed),
                 "falls_per_minute": _mean(metrics.falls_per_minute(recording.fallen[:, mine])),
@@ -137,21 +157,21 @@ def disturbance_rows(
 def transition_rows(
     recording: Recording, frequencies: torch.Tensor, source: Source
 ) -> tuple[list[Row], dict[str, Any]]:
-    """A row per control step over the environments that still stand, and the changes of gait."""
+    """A row per control step over the environments in their first episode, and the changes of gait."""
     settled = recording.settled
     speed = metrics.moving_mean(recording.speed, settled, WINDOW)
     flight = metrics.moving_mean((~recording.contact.any(dim=2)).float(), settled, WINDOW)
-    standing = recording.standing
+    standing, upright = recording.standing, recording.fallen.cumsum(dim=0) == 0
     shown = int(standing.sum(dim=0).argmax())  # the first of those that stay up longest
     rows = []
     for step in range(len(speed)):
         mean_speed, reasons = _mean(speed[step]), []
         if not standing[step].any():
-            reasons.append("every environment has fallen")
+            reasons.append("every environment has fallen or left the terrain")
         elif math.isnan(mean_speed):
             reasons.append("no standing environment has a full window of one second around this step")
         if not standing[step, shown]:
-            reasons.append("the environment of the gait diagram has fallen")
+            reasons.append("the environment of the gait diagram has fallen or left the terrain")
         feet = recording.contact[step, shown].int().tolist() if standing[step, shown] else (None, None)
         rows.append(
             {
@@ -164,7 +184,7 @@ def transition_rows(
                 "froude": float(metrics.froude_number(torch.tensor(mean_speed))),
                 "flight_ratio": _mean(flight[step]),
                 "flight_ratio_std": _std(flight[step]),
-                "standing": float(standing[step].float().mean()),
+                "standing": float(upright[step].float().mean()),
                 "right_contact": feet[0],
                 "left_contact": feet[1],
                 "reason": "; ".join(reasons),
@@ -181,7 +201,7 @@ def transition_rows(
 def gait_changes(recording: Recording, speed: torch.Tensor, flight: torch.Tensor) -> dict[str, Any]:
     """Where the Froude number passes 0.5, where flight begins and where it becomes steady.
 
-    Each environment that never fell is read off by itself; the summary is their mean and standard deviation. Flight
+    Each environment that got through is read off by itself; the summary is their mean and standard deviation. Flight
     begins at the first window with flight, and is steady from the last window without.
 
     Args:
@@ -189,7 +209,7 @@ def gait_changes(recording: Recording, speed: torch.Tensor, flight: torch.Tensor
         speed: Speed in a window around each step [m/s], shape [time, num_envs].
         flight: Flight phase ratio in such windows, shape [time, num_envs].
     """
-    whole = ~recording.fallen.any(dim=0)
+    whole = ~recording.ended.any(dim=0)
     found: dict[str, list[float]] = {
         name: []
         for name in ("transition_speed_mps", "transition_frequency_hz", "flight_begins_hz", "flight_is_steady_hz")
@@ -217,9 +237,13 @@ def gait_changes(recording: Recording, speed: torch.Tensor, flight: torch.Tensor
         "flight_is_steady_hz": "no flight in the last window",
     }
     count = int(whole.sum())
-    result: dict[str, Any] = {"environments_that_never_fell": count, "environments": len(whole)}
+    result: dict[str, Any] = {
+        "environments_that_never_fell": int((~recording.fallen.any(dim=0)).sum()),
+        "environments_that_got_through": count,
+        "environments": len(whole),
+    }
     for name, values in found.items():
-        reason = "" if values else reasons[name] if count else "no environment stayed up for the 30 s"
+        reason = "" if values else reasons[name] if count else "no environment got through the 30 s without a fall"
         mean, std = (float(np.mean(values)), float(np.std(values))) if values else (None, None)
         result[name] = {"mean": mean, "std": std, "environments": len(values), "reason": reason}
     return result
@@ -240,13 +264,13 @@ def _diagram(recording: Recording, env: int, start: float, end: float) -> dict[s
 
 
 def _poses(recording: Recording, env: int) -> list[dict[str, Any]]:
-    """Poses of one environment at even times, for the schematic of Fig. 4 (c); none after its first fall."""
+    """Poses of one environment at even times, for the schematic of Fig. 4 (c); none after its first episode."""
     steps = np.linspace(WINDOW, len(recording.fallen) - 1, POSES).round().astype(int)
     return [
         {
             "time_s": (int(step) + 1) * CONTROL_DT,
             "frequency_hz": float(recording.frequency[step, env]),
-            "height_m": float(recording.root_position[step, env, 2]),
+            "height_m": float(recording.root_position[step, env, 2] - recording.ground_height[step, env]),
             "root_rotation": recording.root_rotation[step, env].tolist(),
             "joint_position": recording.joint_position[step, env].tolist(),
         }
@@ -287,7 +311,7 @@ def command_rows(
     """A row per commanded speed, and the error over all of them."""
     rows = []
     for frequency, wanted, group in zip(
-        frequencies.tolist(), speeds.tolist(), _groups(recording, len(speeds)), strict=True
+        frequencies.tolist(), speeds.tolist(), groups(recording, len(speeds)), strict=True
     ):
         speed = _mean(steady_measures(group)["speed_mps"])
         fell = math.isnan(speed)

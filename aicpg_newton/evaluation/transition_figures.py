@@ -80,17 +80,20 @@ def transition_figure(method: str, rows: list[Row], found: list[dict[str, Any]])
     return figure
 
 
-def speed_and_froude_figure(rows: list[Row]) -> Figure:
-    """Fig. 6: speed and Froude number over time, all methods."""
+def speed_and_froude_figure(rows: list[Row], uneven: bool) -> Figure:
+    """Fig. 6: speed and Froude number over time, all methods; the title says whether the ground was uneven."""
     figure = Figure(figsize=(10, 6), layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True)
     for method, style in methods(rows).items():
         curves = _over_seeds([row for row in rows if row["method"] == method])
-        _draw_curve(top, curves, "speed_mps", style, method)
+        lasted = curves["standing"][0][-1]
+        label = f"{method} ({lasted:.0%} never fell)" if math.isfinite(lasted) else method
+        _draw_curve(top, curves, "speed_mps", style, label)
         _draw_curve(bottom, curves, "froude", style, method)
     bottom.axhspan(*_HUMAN_FROUDE, color="0.85", label="people begin to run: Fr 0.4 to 0.6 (Kram et al. 1997)")
     bottom.axhline(TRANSITION_FROUDE, **REFERENCE, linestyle=":")
-    top.set(title="From walking to running, f(t) = 0.7 Hz + 0.023 Hz/s t", ylabel="speed [m/s]")
+    where = "uneven terrain" if uneven else "flat ground"
+    top.set(title=f"From walking to running on {where}, f(t) = 0.7 Hz + 0.023 Hz/s t", ylabel="speed [m/s]")
     bottom.set(xlabel="time [s]", ylabel="Froude number")
     for axes, column in ((top, "speed_mps"), (bottom, "froude")):
         say_if_empty(axes, rows, column)
@@ -120,10 +123,10 @@ def _over_seeds(rows: list[Row]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return curves
 
 
-def _draw_curve(axes: Axes, curves: dict, column: str, style: Style, method: str) -> None:
+def _draw_curve(axes: Axes, curves: dict, column: str, style: Style, label: str) -> None:
     """Mean over time with a band of one standard deviation."""
     time, (value, spread) = curves["time_s"][0], curves[column]
-    axes.plot(time, value, color=style.colour, linestyle=style.line, label=method)
+    axes.plot(time, value, color=style.colour, linestyle=style.line, label=label)
     axes.fill_between(time, value - spread, value + spread, color=style.colour, alpha=0.2, linewidth=0)
 
 
@@ -142,7 +145,9 @@ def _draw_poses(axes: Axes, poses: list[dict[str, Any]]) -> None:
     axes.set(title="(c) poses of the first environment that stayed up longest; right limbs dark", yticks=[])
     if not poses:
         axes.set(xticks=[])
-        axes.text(0.5, 0.5, "no poses: it fell in the first second", ha="center", transform=axes.transAxes)
+        axes.text(
+            0.5, 0.5, "no poses: its first episode ended in the first second", ha="center", transform=axes.transAxes
+        )
         return
     x = 0.95 * torch.arange(len(poses))
     height = torch.tensor([pose["height_m"] for pose in poses])
@@ -155,7 +160,7 @@ def _draw_poses(axes: Axes, poses: list[dict[str, Any]]) -> None:
     axes.set_xticks(x.tolist(), [f"{pose['time_s']:.1f} s\n{pose['frequency_hz']:.2f} Hz" for pose in poses])
     axes.set(xlim=(-0.6, 0.95 * (POSES - 1) + 0.6), ylim=(-0.08, 1.75))
     if len(poses) < POSES:
-        axes.text(0.95 * len(poses), 0.8, "then it fell", ha="center")
+        axes.text(0.95 * len(poses), 0.8, "then it fell or left the terrain", ha="center")
 
 
 def _draw_diagram(axes: Axes, rows: list[Row], start: float, end: float, title: str) -> None:
@@ -177,7 +182,7 @@ def _draw_diagram(axes: Axes, rows: list[Row], start: float, end: float, title: 
     axes.set(xlim=(start, end), ylim=(-0.6, 2.6), xlabel="time [s]")
     axes.set_yticks([0, 1, 2], ["flight", "right", "left"])
     if not known.any():
-        axes.text(0.5, 0.5, "it had fallen before", ha="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, "it had fallen or left before", ha="center", transform=axes.transAxes)
 
 
 def _sentence(diagram: dict[str, Any]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,10 @@ from aicpg_newton.errors import UserError
 from aicpg_newton.learning.settings import runner_settings
 
 
+class TimeIsUp(Exception):
+    """The time for a run is over; its last checkpoint has just been written."""
+
+
 class Runner(OnPolicyRunner):
     """Trains the reflex network of an environment, or loads one to play.
 
@@ -22,20 +28,28 @@ class Runner(OnPolicyRunner):
         environment: The environment; its task holds the learning settings.
         run: Facts about the run that go into every checkpoint (number of environments, engine, seed, revision).
         folder: Where logs and checkpoints go; None to log and save nothing.
+        seconds: Time after which the next checkpoint is the last [s].
     """
 
     env: Environment
 
-    def __init__(self, environment: Environment, run: dict[str, Any], folder: Path | None = None) -> None:
+    def __init__(
+        self, environment: Environment, run: dict[str, Any], folder: Path | None = None, seconds: float = math.inf
+    ) -> None:
         self.run = run
-        settings = runner_settings(environment.task.learning, run["seed"])
+        self._deadline = time.monotonic() + seconds
+        settings = runner_settings(environment.task, run["seed"])
         log_dir = None if folder is None else str(folder)
         super().__init__(environment, settings, log_dir=log_dir, device=str(environment.device))
         # rsl_rl keeps the revision and the uncommitted changes of this project with the run.
         self.logger.git_status_repos = [__file__]
 
     def save(self, path: str, infos: dict | None = None) -> None:
-        """Write a checkpoint after the current iteration."""
+        """Write a checkpoint after the current iteration.
+
+        Raises:
+            TimeIsUp: The time given to this run is over.
+        """
         checkpoint.write(
             Path(path),
             task=asdict(self.env.task),
@@ -45,26 +59,42 @@ class Runner(OnPolicyRunner):
             samples=self.logger.tot_timesteps,
             algorithm=self.alg.save(),
         )
+        if time.monotonic() > self._deadline:
+            raise TimeIsUp
 
-    def restore(self, content: dict[str, Any], *, play_only: bool = False) -> None:
+    def restore(self, content: dict[str, Any]) -> None:
         """Continue from a checkpoint: networks, normalisers, optimiser with its learning rate, iteration, samples.
 
         Args:
             content: What :func:`checkpoint.read` returned.
-            play_only: Load the actor and its normaliser alone.
 
         Raises:
             UserError: The checkpoint's networks have other sizes than the task's settings.
         """
-        try:
-            self.alg.load(content["algorithm"], load_cfg={"actor": True} if play_only else None, strict=True)
-        except (RuntimeError, ValueError, KeyError) as error:
-            raise UserError(
-                "the checkpoint's networks do not fit the settings; leave learning.hidden-sizes and"
-                " learning.activation as they were"
-            ) from error
+        self._load(content, None)
         self.current_learning_iteration = content["iteration"]
         self.logger.tot_timesteps = content["samples"]
+
+    def take_networks(self, content: dict[str, Any], *names: str) -> None:
+        """Take networks of a checkpoint and nothing else, to play or to begin another run with.
+
+        Args:
+            content: What :func:`checkpoint.read` returned.
+            names: ``actor`` and ``critic`` or one of them, each with its normaliser.
+
+        Raises:
+            UserError: The checkpoint's networks have other sizes than the task's settings.
+        """
+        self._load(content, dict.fromkeys(names, True))
+
+    def _load(self, content: dict[str, Any], parts: dict[str, bool] | None) -> None:
+        try:
+            self.alg.load(content["algorithm"], load_cfg=parts, strict=True)
+        except (RuntimeError, ValueError, KeyError) as error:
+            raise UserError(
+                "the checkpoint's networks do not fit the settings; leave the method, learning.hidden-sizes and"
+                " learning.activation as they were"
+            ) from error
 
     def policy(self) -> torch.nn.Module:
         """The reflex network for deterministic use: observations [num_envs, 192] to actions [num_envs, 28]."""

@@ -10,7 +10,8 @@ from tensordict import TensorDict
 from aicpg_newton import observations
 from aicpg_newton.environment import Environment
 from aicpg_newton.humanoid import mirror_joints
-from aicpg_newton.task import Learning
+from aicpg_newton.methods import get_method
+from aicpg_newton.task import Task
 
 
 def with_mirror_images(
@@ -20,7 +21,7 @@ def with_mirror_images(
 
     Args:
         env: Not needed.
-        obs: Observations under the key ``policy``, shape [batch, 192].
+        obs: Observations under the key ``policy``, shape [batch, 192] (136 without a CPG).
         actions: Actions, shape [batch, 28].
 
     Returns:
@@ -35,20 +36,26 @@ def with_mirror_images(
     return obs, actions
 
 
-def runner_settings(learning: Learning, seed: int) -> dict[str, Any]:
+def runner_settings(task: Task, seed: int) -> dict[str, Any]:
     """The configuration of rsl_rl's ``OnPolicyRunner``.
 
     Args:
-        learning: Settings of the task.
+        task: Task, with the method's name and the learning settings.
         seed: Recorded with the run.
     """
+    learning, method = task.learning, get_method(task.method)
     network = {
         "class_name": "MLPModel",
         "hidden_dims": list(learning.hidden_sizes),
         "activation": learning.activation,
         "obs_normalization": True,
     }
-    noise = {"class_name": "GaussianDistribution", "init_std": learning.initial_std, "std_type": "log"}
+    noise = {
+        "class_name": "GaussianDistribution",
+        "init_std": learning.initial_std,
+        "std_type": "log",
+        "learn_std": learning.learn_std,
+    }
     symmetry = {"data_augmentation_func": with_mirror_images, "use_data_augmentation": True}
     return {
         "seed": seed,
@@ -59,7 +66,7 @@ def runner_settings(learning: Learning, seed: int) -> dict[str, Any]:
         "actor": {**network, "distribution_cfg": noise},
         "critic": network,
         "algorithm": {
-            "class_name": "PPO",
+            "class_name": method.algorithm,
             "num_learning_epochs": learning.epochs,
             "num_mini_batches": learning.minibatches,
             "clip_param": learning.clip,
@@ -69,8 +76,9 @@ def runner_settings(learning: Learning, seed: int) -> dict[str, Any]:
             "entropy_coef": learning.entropy_coefficient,
             "learning_rate": learning.learning_rate,
             "max_grad_norm": learning.maximum_gradient_norm,
-            "schedule": "adaptive",
+            "schedule": "adaptive" if learning.adaptive_learning_rate else "fixed",
             "desired_kl": learning.desired_kl,
             "symmetry_cfg": symmetry if learning.symmetry else None,
+            **method.algorithm_settings(task),
         },
     }

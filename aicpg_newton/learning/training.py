@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
@@ -15,10 +16,10 @@ import yaml
 from aicpg_newton import checkpoint, humanoid
 from aicpg_newton.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.device import resolve_device
-from aicpg_newton.engines import make_engine
-from aicpg_newton.environment import Environment
+from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError
-from aicpg_newton.learning.runner import Runner
+from aicpg_newton.learning.runner import Runner, TimeIsUp
+from aicpg_newton.methods import run_name
 from aicpg_newton.task import Task, task_from_dict
 
 CONFIG_NAME = "config.yaml"
@@ -36,14 +37,18 @@ class RunOptions:
     """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
     max_iterations: int = 3000
     """Iterations of the whole run, those before a resume included (paper, Sec. III-A: 3000 epochs)."""
+    max_minutes: float | None = None
+    """Stop at the first checkpoint after this time [min]; --resume goes on from there."""
     seed: int = 0
     """Seed of networks, exploration and resets."""
     run_dir: Path | None = None
-    """Folder of the run; runs/<task>/<date and time> when not given."""
+    """Folder of the run; runs/<task>/<method>/<date and time> when not given."""
     pattern: Path = DEFAULT_PATTERN
     """Weights of the pattern network, from python -m aicpg_newton.motion."""
     resume: Path | None = None
     """Checkpoint or run folder to continue, in the same folder unless --run-dir is given."""
+    start_from: Path | None = None
+    """Checkpoint or run folder whose networks and pattern a new run begins with, as assets/policies/flat.pt."""
 
 
 def train(task: Task, options: RunOptions) -> Path:
@@ -64,8 +69,13 @@ def train(task: Task, options: RunOptions) -> Path:
         raise UserError(f"--max-iterations is {options.max_iterations}; give a positive number")
     if options.num_envs is not None and options.num_envs < 1:
         raise UserError(f"--num-envs is {options.num_envs}; give at least 1")
+    if options.max_minutes is not None and not options.max_minutes > 0.0:
+        raise UserError(f"--max-minutes is {options.max_minutes}; give a positive number")
     device = resolve_device(options.device)
+    if options.resume is not None and options.start_from is not None:
+        raise UserError("--resume continues a run and --start-from begins a new one; give one of them")
     previous = None if options.resume is None else checkpoint.read(options.resume)
+    start = None if options.start_from is None else checkpoint.read(options.start_from)
     if previous is not None and "optimizer_state_dict" not in previous["algorithm"]:
         raise UserError(
             f"{options.resume} holds no optimiser, it can only be played; resume from a run's own checkpoint"
@@ -74,10 +84,11 @@ def train(task: Task, options: RunOptions) -> Path:
         raise UserError(
             f"{options.resume} has {previous['iteration']} iterations already; give a larger --max-iterations"
         )
-    if previous is None:
+    known = previous or start
+    if known is None:
         pattern = PatternNetwork.load(options.pattern)
     else:
-        pattern = PatternNetwork.from_content(previous["pattern"], str(options.resume))
+        pattern = PatternNetwork.from_content(known["pattern"], str(options.resume or options.start_from))
     num_envs = options.num_envs or (8192 if device.type == "cuda" else 256)
     if options.num_envs is None and previous is not None:
         num_envs = previous["run"]["num_envs"]
@@ -90,28 +101,33 @@ def train(task: Task, options: RunOptions) -> Path:
     seed = options.seed + done  # a resumed run does not draw the same numbers again
     torch.manual_seed(seed)
     print("Building the simulation; the first time on a machine, compiling its kernels can take two minutes.")
-    motors = humanoid.motors()
-    engine = make_engine(options.engine, num_envs, device, motors, task.physics)
-    environment = Environment(task, engine, pattern, motors, seed=seed)
-    print(f"Task {task.name}: {num_envs} environments, engine {engine.name}, device {device}. Run folder: {folder}")
+    engine = engine_for(task, options.engine, num_envs, device)
+    environment = Environment(task, engine, pattern, seed=seed)
+    print(f"Task {run_name(task)}: {num_envs} environments, engine {engine.name}, device {device}. Folder: {folder}")
     run = {
         "num_envs": num_envs,
         "engine": engine.name,
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
         "seed": options.seed,
         "max_iterations": options.max_iterations,
+        "start_from": None if start is None else f"{options.start_from} ({start['samples']} samples)",
         "git_revision": git_revision(),
         "versions": {name: metadata.version(name) for name in ("newton", "warp-lang", "mujoco", "torch", "rsl-rl-lib")},
     }
     folder.mkdir(parents=True, exist_ok=True)
     name = CONFIG_NAME if not (folder / CONFIG_NAME).exists() else f"config_from_iteration_{done}.yaml"
     _write_config(folder / name, task, run)
-    runner = Runner(environment, run, folder)
+    runner = Runner(environment, run, folder, math.inf if options.max_minutes is None else 60 * options.max_minutes)
+    if start is not None:
+        runner.take_networks(start, "actor", "critic")
+        print(f"Begins with the networks of {options.start_from}.")
     if previous is not None:
         runner.restore(previous)
         print(f"Resumed {options.resume} after {done} iterations.")
     try:
         runner.learn(options.max_iterations - done, init_at_random_ep_len=True)
+    except TimeIsUp:
+        print(f"The {options.max_minutes:g} minutes are over; continue with:  python train.py --resume {folder}")
     except KeyboardInterrupt:
         if runner.current_learning_iteration > done:
             runner.save(str(folder / f"model_{runner.current_learning_iteration}.pt"))
@@ -152,7 +168,7 @@ def _run_folder(task: Task, options: RunOptions) -> Path:
             raise UserError(f"{folder} holds later checkpoints up to {last.name}; resume that one, or give --run-dir")
         return folder
     if options.run_dir is None:
-        return Path("runs") / task.name / datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+        return Path("runs") / task.name / task.method / datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     if options.run_dir.exists() and (not options.run_dir.is_dir() or any(options.run_dir.iterdir())):
         raise UserError(
             f"--run-dir {options.run_dir} is not empty; choose another folder, or continue it with --resume"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ _LIGHT_CELL, _DARK_CELL = 0.93, 0.78
 _FADE_START, _FADE_LENGTH = 6.0, 16.0
 _SAMPLES = 4
 
+_RELIEF = 1.2
+"""How much darker the ground is made where it falls away from the light, per unit of slope."""
+
 # From the camera's side, so that what faces the camera is lit and shadows fall behind the robots.
 _LIGHT = torch.nn.functional.normalize(torch.tensor([-0.35, 0.45, -0.85]), dim=0)
 
@@ -33,18 +37,29 @@ _LINK_REACH = 0.32
 """No point of the robot is farther from the nearest link origin [m]."""
 
 
+@dataclass
+class Shot:
+    """What a camera saw, each array of shape [height, width, ...]."""
+
+    colour: np.ndarray
+    """8-bit sRGB, shape [height, width, 3]."""
+    shapes: np.ndarray
+    """Shape seen by each pixel: an index of ``stage.shape_names``, or their number for the background."""
+    depth: np.ndarray
+    """Length of the ray to it [m]."""
+    normal: np.ndarray
+    """Its unit normal in the world, shape [height, width, 3]."""
+
+
 class Photographer:
     """A ray-tracing camera with the light of the studio.
 
     Args:
         stage: What to photograph.
-        rays: Ray origins and directions in the camera frame (looking along -z, y up), shape
-            [height, width, samples, 2].
     """
 
-    def __init__(self, stage: Stage, rays: Any) -> None:
-        self.stage = stage
-        self._rays = rays
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
         red, green, blue = BACKGROUND
         self._sensor = SensorCamera(
             stage.model,
@@ -54,35 +69,41 @@ class Photographer:
             default_render_config=SensorCamera.RenderConfig(
                 enable_shadows=True, anti_aliasing=SensorCamera.AntiAliasing.MSAA
             ),
+            load_textures=False,
         )
         self._sensor.create_default_light(direction=wp.vec3f(*_LIGHT.tolist()), color=(0.62, 0.61, 0.58))
         self._sensor.set_ambient_light((0.50, 0.51, 0.53), (0.34, 0.33, 0.32))
         self._world = wp.zeros(1, dtype=wp.int32, device=stage.model.device)
 
-    def shoot(
-        self, position: torch.Tensor, rotation: torch.Tensor, window: Window | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def shoot(self, rays: Any, position: torch.Tensor, rotation: torch.Tensor) -> Shot:
         """Take a picture of the stage as it is posed now.
 
         Args:
+            rays: Ray origins and directions in the camera frame (looking along -z, y up), shape
+                [height, width, samples, 2].
             position: Camera position [m], world frame, shape [3].
             rotation: Camera rotation (x, y, z, w), shape [4].
-            window: Part of the picture to take; all of it by default.
-
-        Returns:
-            8-bit sRGB picture of the window, shape [height, width, 3], and the shape seen by each pixel, an index of
-            ``stage.shape_names`` or their number for the background, shape [height, width].
         """
-        model, state = self.stage.model, self.stage.state
+        model, state, sensor = self._stage.model, self._stage.state, self._sensor
         model.bvh_refit_shapes(state)
         view = wp.array([position.tolist() + rotation.tolist()], dtype=wp.transformf, device=model.device)
-        rays = self._rays if window is None else self._rays[window[0], window[1]]
         height, width = rays.shape[:2]
-        colour: Any = self._sensor.allocate_image_color(1, width, height)
-        shapes: Any = self._sensor.allocate_image_shape_index(1, width, height)
-        self._sensor.update(state, view, rays, color_image=colour, shape_index_image=shapes, world_indices=self._world)
-        packed = colour.numpy()[0]
-        return packed.view(np.uint8).reshape(height, width, 4)[..., :3].copy(), shapes.numpy()[0]
+        colour: Any = sensor.allocate_image_color(1, width, height)
+        shapes: Any = sensor.allocate_image_shape_index(1, width, height)
+        depth: Any = sensor.allocate_image_depth(1, width, height)
+        normal: Any = sensor.allocate_image_normal(1, width, height)
+        sensor.update(
+            state,
+            view,
+            rays,
+            color_image=colour,
+            shape_index_image=shapes,
+            depth_image=depth,
+            normal_image=normal,
+            world_indices=self._world,
+        )
+        packed = colour.numpy()[0].view(np.uint8).reshape(height, width, 4)
+        return Shot(packed[..., :3].copy(), shapes.numpy()[0], depth.numpy()[0], normal.numpy()[0])
 
 
 def facing(azimuth: float, elevation: float) -> torch.Tensor:
@@ -97,14 +118,15 @@ def facing(azimuth: float, elevation: float) -> torch.Tensor:
     return rotations.multiply(rotations.about_z(torch.tensor(azimuth)), tilt)
 
 
-def parallel_rays(width: int, height: int, pixel: float, horizon: float, device: Any) -> Any:
-    """Rays of a camera without perspective, shape [height, width, 4, 2].
+def parallel_rays(width: int, height: int, pixel: float, horizon: float, elevation: float, device: Any) -> Any:
+    """Rays of a camera without perspective, shape [height, width, 4, 2]; they begin in an upright plane.
 
     Args:
         width: Picture width [px].
         height: Picture height [px].
         pixel: Edge of a pixel [m].
-        horizon: Row of the picture at the camera's own height [px from the top].
+        horizon: Row of the picture whose rays begin at the camera's own height [px from the top].
+        elevation: The camera's, as in :func:`facing` [rad].
         device: Warp device of the rays.
     """
     column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
@@ -113,19 +135,27 @@ def parallel_rays(width: int, height: int, pixel: float, horizon: float, device:
     for sample, (dx, dy) in enumerate(((0.0, 0.0), (0.35, 0.12), (-0.12, 0.35), (-0.23, -0.35))):
         rays[:, :, sample, 0, 0] = (column + dx - 0.5 * width) * pixel
         rays[:, :, sample, 0, 1] = (horizon - row - dy) * pixel
+    rays[..., 0, 2] = rays[..., 0, 1] * math.tan(elevation)
     rays[..., 1, 2] = -1.0
     return wp.array(rays, dtype=wp.vec3f, device=device)
 
 
-class Studio:
-    """A camera with perspective and a fixed direction over a floor of cells of known size.
+def _pinhole_rays(width: int, height: int, field_of_view: float, samples: int, device: Any) -> Any:
+    """Rays of a camera with perspective, shape [height, width, samples, 2]."""
+    return SensorCamera.compute_camera_rays_pinhole(
+        width, height, camera_fov=field_of_view, sample_count=samples, device=device
+    )
 
-    Only the part of the picture that shows robots and their shadows is ray traced; the floor around it is computed, as
-    is its checkerboard: one of geometry or texture flickers in the distance, while here each pixel takes the mean over
-    the patch of floor that it covers.
+
+class Studio:
+    """A camera with perspective and a fixed direction over ground of cells of known size.
+
+    Only the part of the picture that shows robots and their shadows is ray traced with smooth edges. Around it a plane
+    is computed, and a terrain is traced with one ray a pixel. The checkerboard is computed: one of geometry or texture
+    flickers in the distance, while here each pixel takes the mean over the patch of ground that it covers.
 
     Args:
-        stage: What to photograph, on :attr:`Ground.PLANE`.
+        stage: What to photograph, on :attr:`Floor.FIXED`.
         width: Picture width [px].
         height: Picture height [px].
         field_of_view: Vertical field of view [rad].
@@ -138,54 +168,70 @@ class Studio:
         self._rotation = rotation
         self._focal_length = 0.5 * height / math.tan(0.5 * field_of_view)  # [px]
         self._ground = stage.shape_names.index("ground")
-        rays: Any = SensorCamera.compute_camera_rays_pinhole(
-            width, height, camera_fov=field_of_view, sample_count=_SAMPLES, device=stage.model.device
+        heights = torch.zeros(1) if stage.terrain is None else stage.terrain.heights
+        self._lowest, self._highest = float(heights.min()), float(heights.max())
+        self._photographer = Photographer(stage)
+        self._rays, self._single_rays = (
+            _pinhole_rays(width, height, field_of_view, samples, stage.model.device) for samples in (_SAMPLES, 1)
         )
-        self._photographer = Photographer(stage, rays)
-        directions = wp.to_torch(rays)[:, :, 0, 1].cpu()
+        directions = wp.to_torch(self._single_rays)[:, :, 0, 1].cpu()
         world = rotations.rotate(rotation.expand(height, width, 4), directions).numpy()
-        self._horizon = int((world[..., 2] >= -1.0e-3).any(axis=1).sum())
-        down = np.maximum(-world[..., 2:], 1.0e-3)
-        # Per metre of camera height: where a pixel meets the floor, and how much of it the pixel covers in x and y.
-        reach = world[..., :2] / down
+        self._down = np.maximum(-world[..., 2], 1.0e-3)
+        # Per metre that the ground lies below the camera: where a pixel sees it, how far away, and how much of it in x
+        # and y the pixel covers.
+        reach = world[..., :2] / self._down[..., None]
         patch = np.abs(np.gradient(reach, axis=0)) + np.abs(np.gradient(reach, axis=1))
-        below = slice(self._horizon, None)
-        self._reach, self._patch = np.moveaxis(reach[below], 2, 0).copy(), np.moveaxis(patch[below], 2, 0).copy()
-        self._distance = 1.0 / down[below, :, 0]
-        # A patch of floor in the sun, well away from the robots.
-        sunny, _ = self._photographer.shoot(
-            stage.pelvis[0] + torch.tensor([50.0, 0.0, 0.0]), rotation, (slice(height - 1, height), slice(0, 1))
-        )
-        self._empty = np.empty((height, width, 3), dtype=np.uint8)
-        self._empty[: self._horizon] = BACKGROUND
-        self._empty[self._horizon :] = sunny[0, 0]
+        self._reach, self._patch = np.moveaxis(reach, 2, 0).copy(), np.moveaxis(patch, 2, 0).copy()
+        self._distance = 1.0 / self._down
+        if stage.terrain is None:
+            horizon = int((world[..., 2] >= -1.0e-3).any(axis=1).sum())
+            self._below = np.arange(height)[:, None].repeat(width, axis=1) >= horizon
+            # A patch of floor in the sun, well away from the robots.
+            away = stage.pelvis[0] + torch.tensor([50.0, 0.0, 0.0])
+            sunny = self._photographer.shoot(self._rays[height - 1 :, :1], away, rotation)
+            self._empty = np.where(self._below[..., None], sunny.colour[0, 0], np.array(BACKGROUND, dtype=np.uint8))
 
     def photograph(self, position: torch.Tensor, *, whole: bool = False) -> np.ndarray:
         """Take a picture of the stage as it is posed now.
 
         Args:
             position: Camera position [m], world frame, shape [3].
-            whole: Ray trace all of the picture; slower, and the same picture.
+            whole: Ray trace all of the picture; slower, and on a plane the same picture.
 
         Returns:
             8-bit sRGB picture, shape [height, width, 3].
         """
+        if self._stage.terrain is None:
+            picture, ground = self._empty.copy(), self._below.copy()
+            drop, slopes = np.float32(position[2]), 1.0
+        else:
+            picture, ground, drop, slopes = self._terrain(position)
         window = (slice(0, self._size[0]), slice(0, self._size[1])) if whole else self._window(position)
-        picture = self._empty.copy()
-        robot = np.zeros(self._size, dtype=bool)
         if window is not None:
-            traced, shapes = self._photographer.shoot(position, self._rotation, window)
-            robot[window] = shapes < self._ground
-            above = slice(0, max(0, self._horizon - window[0].start))
-            traced[above][shapes[above] == self._ground] = BACKGROUND
-            picture[window] = traced
-        self._paint_floor(picture[self._horizon :], robot[self._horizon :], position)
+            near = self._photographer.shoot(self._rays[window], position, self._rotation)
+            robot = near.shapes < self._ground
+            picture[window] = near.colour
+            picture[window][~robot & ~ground[window]] = BACKGROUND
+            ground[window] &= ~robot
+        self._paint(picture, ground, position, drop, slopes)
         return picture
+
+    def _terrain(self, position: torch.Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The stage with one ray a pixel: picture, where it shows ground, and the last two arguments of _paint."""
+        picture = np.full((*self._size, 3), BACKGROUND, dtype=np.uint8)
+        ground, drop, slopes = np.zeros(self._size, dtype=bool), np.zeros(self._size), np.ones(self._size)
+        # Long flat rays take longest, and what they meet has faded.
+        clear = (self._distance * (float(position[2]) - self._highest)).min(axis=1) < _FADE_START + _FADE_LENGTH
+        rows = slice(int(clear.argmax()), None)
+        wide = self._photographer.shoot(self._single_rays[rows], position, self._rotation)
+        picture[rows], ground[rows] = wide.colour, wide.shapes == self._ground
+        drop[rows], slopes[rows] = wide.depth * self._down[rows], relief(wide.normal)
+        return picture, ground, drop, slopes
 
     def _window(self, position: torch.Tensor) -> Window | None:
         """Part of the picture that surely holds the robots and their shadows; None if they are out of sight."""
         links = self._stage.links.reshape(-1, 3)
-        shadows = links - _LIGHT * (links[:, 2:] / _LIGHT[2])
+        shadows = links - _LIGHT * ((links[:, 2:] - self._lowest) / _LIGHT[2])
         points = torch.cat((links, shadows)) - position
         points = rotations.rotate(rotations.conjugate(self._rotation).expand(len(points), 4), points)
         depth = -points[:, 2]
@@ -202,16 +248,49 @@ class Studio:
         top, bottom = max(top, 0), min(bottom, self._size[0])
         return (slice(top, bottom), slice(left, right)) if top < bottom and left < right else None
 
-    def _paint_floor(self, picture: np.ndarray, robot: np.ndarray, position: torch.Tensor) -> None:
-        """Paint the checkerboard on the rows below the horizon, in place, keeping shadows and robots."""
-        x, y, height = position.tolist()
-        (reach_x, reach_y), (patch_x, patch_y) = self._reach * height, self._patch * height
-        pattern = _mean_stripes(reach_x + x, patch_x) * _mean_stripes(reach_y + y, patch_y)
-        tone = 0.5 * (_LIGHT_CELL + _DARK_CELL) + 0.5 * (_LIGHT_CELL - _DARK_CELL) * pattern
-        clear = 1.0 - np.clip((self._distance * height - _FADE_START) / _FADE_LENGTH, 0.0, 1.0)
+    def _paint(
+        self, picture: np.ndarray, ground: np.ndarray, position: torch.Tensor, drop: Any, slopes: np.ndarray | float
+    ) -> None:
+        """Paint the checkerboard on the ground, in place, keeping shadows.
+
+        Args:
+            picture: Picture without it, shape [height, width, 3].
+            ground: Which pixels show the ground, shape [height, width].
+            position: Camera position [m], shape [3].
+            drop: How far the ground lies below the camera [m], one number or shape [height, width].
+            slopes: Factor on the brightness, one number or shape [height, width].
+        """
+        x, y, _ = position.tolist()
+        reach_x, reach_y = self._reach * drop
+        tone = slopes * checkerboard(reach_x + x, reach_y + y, *(self._patch * drop))
+        clear = 1.0 - np.clip((self._distance * drop - _FADE_START) / _FADE_LENGTH, 0.0, 1.0)
         background = np.array(BACKGROUND, dtype=np.float32)
-        floor = picture * (clear * tone / GROUND_COLOUR[1])[..., None] + background * (1.0 - clear)[..., None]
-        np.copyto(picture, np.clip(floor, 0.0, 255.0).astype(np.uint8), where=~robot[..., None])
+        floor = picture * (clear * tone)[..., None] + background * (1.0 - clear)[..., None]
+        np.copyto(picture, np.clip(floor, 0.0, 255.0).astype(np.uint8), where=ground[..., None])
+
+
+def checkerboard(x: np.ndarray, y: np.ndarray, width_x: np.ndarray, width_y: np.ndarray) -> np.ndarray:
+    """Factor on the ground's colour that makes a checkerboard of it: its mean over patches of the ground.
+
+    Args:
+        x: Middle of each patch along x [m].
+        y: Middle along y [m].
+        width_x: Width along x [m].
+        width_y: Width along y [m].
+    """
+    pattern = _mean_stripes(x, width_x) * _mean_stripes(y, width_y)
+    tone = 0.5 * (_LIGHT_CELL + _DARK_CELL) + 0.5 * (_LIGHT_CELL - _DARK_CELL) * pattern
+    return tone / GROUND_COLOUR[1]
+
+
+def relief(normal: np.ndarray) -> np.ndarray:
+    """Factor on the ground's colour that makes its slopes plain, which the light alone does not, shape [...].
+
+    Args:
+        normal: Unit normals of the ground, shape [..., 3].
+    """
+    towards_light = -_LIGHT.numpy()
+    return np.clip(1.0 + _RELIEF * normal[..., :2] @ towards_light[:2], 0.7, 1.05)
 
 
 def _mean_stripes(coordinate: np.ndarray, width: np.ndarray) -> np.ndarray:

@@ -13,8 +13,9 @@ import warp as wp
 
 from aicpg_newton.cpg import CONTROL_RATE
 from aicpg_newton.errors import UserError
+from aicpg_newton.terrain import Terrain
 from aicpg_newton.viewing.output import writable_path
-from aicpg_newton.viewing.stage import Ground, Stage
+from aicpg_newton.viewing.stage import Floor, Stage
 
 VIEWER_KINDS = ("viser", "gl", "rerun", "usd", "none")
 """viser: in a browser; gl: a window; rerun: Rerun in a browser; usd: a file to open elsewhere; none: nothing."""
@@ -32,20 +33,23 @@ _PACKAGES = {
 class LiveViewer:
     """Shows poses while they are computed, one second of simulation in one second of time.
 
-    Robots of different environments stand side by side, robot 0 at the left of the direction of travel. In ``viser``,
-    ``gl`` and ``rerun`` they are on :attr:`Ground.TREADMILL`, so that they stay in the picture while the user is free
-    to turn the camera; ``usd`` keeps world positions.
+    On a plane, robots of different environments stand side by side, robot 0 at the left of the direction of travel; on
+    a terrain they are where they are. In ``viser``, ``gl`` and ``rerun`` they are on :attr:`Floor.TREADMILL`, so that
+    robot 0 stays in the picture while the user is free to turn the camera; ``usd`` keeps world positions.
 
     Args:
         kind: One of :data:`VIEWER_KINDS`.
         num_robots: Number of humanoids shown.
         path: File that ``usd`` writes, ending in ``.usd``; unused by the others.
+        terrain: Shape of the ground; None for a plane.
 
     Raises:
         UserError: The kind is unknown, its package is not installed, there is no display or no path.
     """
 
-    def __init__(self, kind: str, num_robots: int = 1, path: Path | str | None = None) -> None:
+    def __init__(
+        self, kind: str, num_robots: int = 1, path: Path | str | None = None, terrain: Terrain | None = None
+    ) -> None:
         if kind not in VIEWER_KINDS:
             raise UserError(f"there is no viewer '{kind}'; choose one of {', '.join(VIEWER_KINDS)}")
         if num_robots < 1:
@@ -64,10 +68,10 @@ class LiveViewer:
         if kind == "none":
             return
         self._viewer = _open(kind, file)
-        self._stage = Stage(num_robots, ground=Ground.PLANE if kind == "usd" else Ground.TREADMILL)
+        self._stage = Stage(num_robots, floor=Floor.FIXED if kind == "usd" else Floor.TREADMILL, terrain=terrain)
         self._viewer.set_model(self._stage.model)
         # From the front right, slightly above; the distance lets all lanes fit.
-        distance = 3.2 + 1.0 * num_robots
+        distance = 3.2 + 1.0 * (num_robots if terrain is None else 1)
         self._viewer.set_camera(wp.vec3(0.55 * distance, -0.83 * distance, 1.6), pitch=-10.0, yaw=123.0)
 
     def show(

@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from aicpg_newton import rotations
 from aicpg_newton.cpg import CONTROL_RATE
 from aicpg_newton.errors import UserError
+from aicpg_newton.terrain import Terrain
 from aicpg_newton.viewing.camera import Studio, facing
 from aicpg_newton.viewing.output import TEXT_COLOUR, writable_path
 from aicpg_newton.viewing.stage import Stage, Tracker
@@ -31,14 +32,15 @@ _VIEW_HEIGHT = 2.3
 class Recorder:
     """Writes an H.264 mp4 at 30 frames per second from poses at the control rate of 60 per second.
 
-    The camera looks at the robot's right side, slightly from the front and above, and follows the pelvis; the floor is
+    The camera looks at the robot's right side, slightly from the front and above, and follows the pelvis; the ground is
     a checkerboard of 1 m cells, so that speed can be seen; right limbs are red, left limbs blue. With several robots
     the camera moves back until all are in the picture. The file appears under its name when it is complete: until
     :meth:`close` it is called ``<name>.part``, and it is removed if the recording is left by an exception.
 
     Args:
         path: File to write, ending in ``.mp4``.
-        num_robots: Number of humanoids side by side.
+        num_robots: Number of humanoids, side by side on a plane.
+        terrain: Shape of the ground; None for a plane.
         width: Picture width [px], even.
         height: Picture height [px], even.
 
@@ -46,14 +48,22 @@ class Recorder:
         UserError: The path cannot be written or the size is not possible.
     """
 
-    def __init__(self, path: Path | str, *, num_robots: int = 1, width: int = 640, height: int = 360) -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        num_robots: int = 1,
+        terrain: Terrain | None = None,
+        width: int = 640,
+        height: int = 360,
+    ) -> None:
         self._path = writable_path(path, ".mp4")
         if width < 64 or height < 64 or width % 2 or height % 2:
             raise UserError(f"a recording of {width}x{height} pixels is not possible; give even numbers of at least 64")
         if num_robots < 1:
             raise UserError(f"a recording of {num_robots} robots is not possible; give at least 1")
         self._part = self._path.with_name(self._path.name + ".part")
-        self._stage = Stage(num_robots)
+        self._stage = Stage(num_robots, terrain=terrain)
         rotation = facing(_AZIMUTH, _ELEVATION)
         self._backwards = rotations.rotate(rotation, torch.tensor([0.0, 0.0, 1.0]))  # the camera looks along its -z
         self._studio = Studio(self._stage, width, height, _FIELD_OF_VIEW, rotation)

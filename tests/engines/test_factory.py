@@ -11,6 +11,7 @@ import torch
 from aicpg_newton.engines import Physics, make_engine
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import motors
+from aicpg_newton.terrain import Ground, Terrain
 
 
 def test_unknown_engine_lists_the_choices() -> None:
@@ -52,6 +53,22 @@ def test_bad_numbers(num_envs: int, physics: Physics) -> None:
 def test_auto_is_mujoco_on_the_cpu() -> None:
     """Without a GPU, ``auto`` takes the engine that uses all cores."""
     assert make_engine("auto", 1, "cpu", motors(), Physics()).name == "mujoco"
+
+
+def test_ground_becomes_terrain() -> None:
+    """The engine holds the terrain of the settings it was given; none and no height are a plane."""
+    ground = Ground(height_range=0.1, length=10.0, width=8.0)
+    terrain = make_engine("mujoco", 1, "cpu", motors(), Physics(), ground).terrain
+    expected = Terrain.make(ground)
+    assert terrain is not None and expected is not None and torch.equal(terrain.heights, expected.heights)
+    assert make_engine("mujoco", 1, "cpu", motors(), Physics()).terrain is None
+    assert make_engine("mujoco", 1, "cpu", motors(), Physics(), Ground()).terrain is None
+
+
+def test_bad_ground() -> None:
+    """Ground that cannot be built is refused like any other setting."""
+    with pytest.raises(UserError, match=r"ground\.cell"):
+        make_engine("mujoco", 1, "cpu", motors(), Physics(), Ground(height_range=0.1, cell=0.0))
 
 
 def test_import_is_light() -> None:

@@ -14,6 +14,7 @@ from aicpg_newton.cpg import CONTROL_DT, pd_torque
 from aicpg_newton.engines import ENGINES, Engine, Physics, RobotState
 from aicpg_newton.humanoid import GRAVITY, LINK_NAMES, MJCF_PATH, NUM_JOINTS, TOTAL_MASS, joint_index, motors
 from aicpg_newton.kinematics import forward_kinematics, skeleton
+from aicpg_newton.terrain import Ground, Terrain
 
 NUM_ENVS = 4
 STANDING_HEIGHT = 0.8815
@@ -24,15 +25,24 @@ BALANCE = -0.01
 
 @pytest.fixture(scope="module", params=["newton", "mujoco"])
 def engine(request: pytest.FixtureRequest) -> Engine:
-    """Each engine once, on the CPU."""
-    return ENGINES[request.param]()(NUM_ENVS, torch.device("cpu"), motors(), Physics())
+    """Each engine once, on the CPU, on a plane or on a terrain that is level."""
+    name, _, level = request.param.partition(" on a ")
+    ground = Ground(length=10.0, width=8.0)
+    terrain = Terrain(ground, torch.zeros(41, 33)) if level else None
+    return ENGINES[name]()(NUM_ENVS, torch.device("cpu"), motors(), Physics(), terrain)
+
+
+on_every_ground = pytest.mark.parametrize(
+    "engine", ["newton", "mujoco", "newton on a terrain", "mujoco on a terrain"], indirect=True, scope="module"
+)
+"""For what contacts with the ground have a part in."""
 
 
 def start(num_envs: int = NUM_ENVS, height: float = STANDING_HEIGHT) -> dict[str, torch.Tensor]:
     """Upright at rest, joints at zero."""
     zeros = torch.zeros(num_envs, NUM_JOINTS)
     return {
-        "root_position": torch.tensor([0.0, 0.0, height]).repeat(num_envs, 1),
+        "root_position": torch.tensor([5.0, 0.0, height]).repeat(num_envs, 1),
         "root_rotation": torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(num_envs, 1),
         "root_linear_velocity": torch.zeros(num_envs, 3),
         "root_angular_velocity": torch.zeros(num_envs, 3),
@@ -63,6 +73,7 @@ def random_targets(seed: int, num_envs: int = NUM_ENVS, scale: float = 0.2) -> t
     return scale * torch.randn(num_envs, NUM_JOINTS, generator=torch.Generator().manual_seed(seed))
 
 
+@on_every_ground
 def test_standing_feet_carry_the_weight_below_the_centre_of_mass(engine: Engine) -> None:
     """At rest the feet carry the weight, each within its sole, and together right below the centre of mass."""
     values = start()
@@ -101,6 +112,7 @@ def test_standing_feet_carry_the_weight_below_the_centre_of_mass(engine: Engine)
     assert (offset.norm(dim=1) < 0.01).all(), offset
 
 
+@on_every_ground
 def test_pressing_with_the_toes_moves_the_pressure_forward(engine: Engine) -> None:
     """A foot turned toes-down meets the ground with a moment that turns it back; the other foot's stays."""
     reset_all(engine, start())
@@ -177,6 +189,7 @@ def test_reset_touches_only_the_mask(engine: Engine) -> None:
     torch.testing.assert_close(after.head_position, expected, rtol=0.0, atol=1e-5)
 
 
+@on_every_ground
 def test_reset_leaves_no_memory(engine: Engine) -> None:
     """An environment that was reset moves like one that never moved before."""
     targets = random_targets(4)[:1].repeat(NUM_ENVS, 1)
@@ -210,6 +223,7 @@ def test_root_velocities_are_those_of_the_pelvis_frame_in_the_world(engine: Engi
     torch.testing.assert_close(states[1].root_angular_velocity, angular, rtol=0.0, atol=0.05)
 
 
+@on_every_ground
 @pytest.mark.parametrize("bad", ["target", "reflex_torque", "push"])
 def test_not_finite_stays_in_one_environment(engine: Engine, bad: str) -> None:
     """A NaN among one environment's inputs shows up there, leaves the others as they would be, and a reset cures it."""
@@ -279,9 +293,11 @@ def test_torque_is_the_sum_of_cpg_and_reflex(engine: Engine) -> None:
     assert (target_velocity.abs() > 1.5).sum() > 20 and (reflex.abs() > 5.0).sum() > 20
 
 
+@on_every_ground
 def test_order_of_the_file_does_not_matter(engine: Engine, permuted_mjcf: Path) -> None:
     """A robot whose file lists legs before torso and left before right moves and feels the same."""
-    permuted = type(engine)(NUM_ENVS, torch.device("cpu"), motors(), Physics(), permuted_mjcf)  # type: ignore[call-arg]
+    again = type(engine)
+    permuted = again(NUM_ENVS, torch.device("cpu"), motors(), Physics(), engine.terrain, permuted_mjcf)  # type: ignore[call-arg]
     targets, reflex, zeros = random_targets(10), random_targets(11, scale=5.0), torch.zeros(NUM_ENVS, NUM_JOINTS)
     push = torch.tensor([50.0, 30.0, 0.0]).repeat(NUM_ENVS, 1)
     for each in (engine, permuted):

@@ -15,8 +15,9 @@ from aicpg_newton.errors import UserError
 from aicpg_newton.evaluate import EvaluateOptions, main
 from aicpg_newton.evaluation import records
 from aicpg_newton.evaluation import run as running
+from aicpg_newton.evaluation.controllers import cpg_alone, trained
 from aicpg_newton.evaluation.protocols import PROTOCOLS
-from aicpg_newton.evaluation.run import Laboratory, cpg_alone, evaluate, trained
+from aicpg_newton.evaluation.run import Laboratory, evaluate
 from aicpg_newton.learning.training import RunOptions, train
 from tasks import get_task
 
@@ -26,9 +27,8 @@ ROOT = Path(__file__).resolve().parents[2]
 def short(name: str) -> object:
     """A protocol cut to 2.5 s and three frequencies."""
     protocol = PROTOCOLS[name]
-    return replace(
-        protocol, duration=2.5, frequencies=protocol.frequencies[::7], commanded_speeds=protocol.commanded_speeds // 3
-    )
+    frequencies = protocol.frequencies[:: max(1, len(protocol.frequencies) // 2)]
+    return replace(protocol, duration=2.5, frequencies=frequencies, commanded_speeds=protocol.commanded_speeds // 3)
 
 
 @pytest.fixture
@@ -55,11 +55,13 @@ def test_the_cpg_alone_with_all_protocols(tmp_path: Path, capsys: pytest.Capture
     """Every protocol leaves a CSV, a JSON and figures; each empty cell has a reason; figures can be redrawn."""
     out = tmp_path / "results"
     main(EvaluateOptions(agent="zero", num_envs=6, device="cpu", seed=2, out=out))
-    for name in PROTOCOLS:
+    assert not (out / "terrain.csv").exists() and not (out / "training.csv").exists()
+    for name in ("sweep", "disturbance", "transition", "command"):
         rows, content = records.read_table(out, name), records.read_description(out, name)
         assert rows and {row["method"] for row in rows} == {"CPG alone"}
         for row in rows:
             assert row["reason"] or all(value == value for value in row.values())
+            assert row.get("condition", "") == ""
         assert content["engine"] == "mujoco" and content["device"] == "cpu" and content["seed"] == 2
         assert content["environments"] == 6 and {"torch", "newton", "python"} <= set(content["versions"])
     sweep = records.read_table(out, "sweep")
@@ -74,10 +76,10 @@ def test_the_cpg_alone_with_all_protocols(tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.usefixtures("brief")
-def test_a_run_folder_and_another_method(run_folder: Path, tmp_path: Path):
-    """The sweep takes the last checkpoint, the disturbance the last ones; a checkpoint's method and seed are kept."""
+def test_a_run_folder_and_another_seed(run_folder: Path, tmp_path: Path):
+    """The sweep takes the last checkpoint, the disturbance the last ones; a checkpoint's seed is kept."""
     content = torch.load(run_folder / "model_1.pt", weights_only=True)
-    content["run"] |= {"method": "PPO", "seed": 6}
+    content["run"]["seed"] = 6
     torch.save(content, tmp_path / "other.pt")
     options = {
         "checkpoint": (run_folder, tmp_path / "other.pt"),
@@ -88,11 +90,11 @@ def test_a_run_folder_and_another_method(run_folder: Path, tmp_path: Path):
     main(EvaluateOptions(protocol="sweep", **options))
     assert {(row["method"], row["seed"]) for row in records.read_table(tmp_path / "out", "sweep")} == {
         ("AI-CPG", 5.0),
-        ("PPO", 6.0),
+        ("AI-CPG", 6.0),
     }
     main(EvaluateOptions(protocol="disturbance", **options))
     rows = records.read_table(tmp_path / "out", "disturbance")
-    iterations = {row["iteration"] for row in rows if row["method"] == "AI-CPG"}
+    iterations = {row["iteration"] for row in rows if row["seed"] == 5.0}
     assert len(iterations) == len(list(run_folder.glob("model_*.pt"))) >= 2
     assert len(rows) == 3 * (len(iterations) + 1)
     controllers = json.loads((tmp_path / "out" / "sweep.json").read_text())["controllers"]
@@ -128,6 +130,14 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path: Path):
         ({"agent": "zero", "engine": "bullet"}, "bullet"),
         ({"agent": "zero", "checkpoint": (Path("model_1.pt"),)}, "leave --checkpoint out"),
         ({"redraw": (Path("nowhere"),)}, "no results in nowhere"),
+        ({"agent": "zero", "terrain_seed": (7,)}, "the ground is a plane; leave --terrain-seed out"),
+        ({"agent": "zero", "protocol": "terrain"}, "the terrain protocol needs uneven ground; give --task uneven"),
+        (
+            {"agent": "zero", "protocol": "training"},
+            "CPG alone, seed 0 has no more than one; give --checkpoint its run",
+        ),
+        ({"agent": "zero", "task": "uneven", "terrain_seed": (7, 8, 7)}, "give each seed once"),
+        ({"agent": "zero", "task": "uneven", "terrain_seed": (-1,)}, "give at least 1 and 0"),
     ],
 )
 def test_bad_options(changes: dict, message: str, tmp_path: Path):
@@ -148,7 +158,7 @@ def test_no_shipped_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_one_checkpoint_for_each_seed(run_folder: Path, tmp_path: Path):
     """Two of the same training cannot be told apart in the table."""
     files = (run_folder / "model_0.pt", run_folder / "model_1.pt")
-    with pytest.raises(UserError, match="method AI-CPG and seed 5"):
+    with pytest.raises(UserError, match="two checkpoints are of AI-CPG, seed 5"):
         main(EvaluateOptions(device="cpu", checkpoint=files, out=tmp_path / "out"))
 
 

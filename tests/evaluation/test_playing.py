@@ -1,6 +1,7 @@
 """Playing agents: table, filmstrip, recording, and clear words about bad options."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -8,12 +9,44 @@ import pytest
 import torch
 from PIL import Image
 
+from aicpg_newton import checkpoint
 from aicpg_newton.cpg import PatternNetwork
+from aicpg_newton.environment import engine_for
 from aicpg_newton.errors import UserError
+from aicpg_newton.evaluation import playing
 from aicpg_newton.evaluation.playing import PlayOptions, play
 from aicpg_newton.evaluation.rollout import Tally, kinematic_frames
 from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.methods import with_method
+from aicpg_newton.task import Task
+from aicpg_newton.viewing.filmstrip import TILE_HEIGHT
 from tasks import get_task
+
+
+def small(name: str, method: str = "ai-cpg") -> Task:
+    """A task with a small network, and with a small piece of ground where that is uneven."""
+    task = with_method(get_task(name), method)
+    task.learning.hidden_sizes = (16,)
+    task.ground.length, task.ground.width = 24.0, 16.0
+    return task
+
+
+def trained(folder: Path, task: Task) -> Path:
+    """A checkpoint after one iteration."""
+    return train(task, RunOptions(num_envs=4, device="cpu", max_iterations=1, run_dir=folder / "run"))
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> list[Task]:
+    """The tasks that engines are made for."""
+    tasks: list[Task] = []
+
+    def noted(task: Task, *arguments):
+        tasks.append(task)
+        return engine_for(task, *arguments)
+
+    monkeypatch.setattr(playing, "engine_for", noted)
+    return tasks
 
 
 def test_tally_counts_way_falls_and_episodes():
@@ -25,6 +58,15 @@ def test_tally_counts_way_falls_and_episodes():
     lines = tally.table().splitlines()
     assert lines[1].split() == ["1.00", "2", "1.50", "1", "1.3"]
     assert lines[2].split() == ["1.20", "1", "3.00", "0", "2.0"]
+
+
+def test_table_of_a_network_without_frequency():
+    """It has one line, aligned like the others, that names no frequency."""
+    tally = Tally(torch.ones(3), follows_frequency=False)
+    tally.add(torch.ones(3), torch.tensor([False, False, True]))
+    head, line = tally.table().splitlines()
+    assert line.split()[:2] == ["-", "3"]
+    assert len(line) == len(head)
 
 
 def test_kinematic_playback_moves_at_the_gaits_speed(pattern: PatternNetwork):
@@ -64,9 +106,8 @@ def test_agents_without_a_checkpoint(agent, capsys: pytest.CaptureFixture):
 
 def test_a_checkpoint_plays_with_its_own_task(tmp_path: Path, capsys: pytest.CaptureFixture):
     """What train writes, play reads, on both engines, with the frequencies asked for."""
-    task = get_task("flat")
-    task.learning.hidden_sizes = (16,)
-    last = train(task, RunOptions(num_envs=4, device="cpu", max_iterations=1, run_dir=tmp_path / "run"))
+    task = small("flat")
+    last = trained(tmp_path, task)
     speeds = []
     for engine in ("mujoco", "newton"):
         options = PlayOptions(
@@ -91,9 +132,82 @@ def test_the_shipped_network_walks_and_runs_on_both_engines(capsys: pytest.Captu
         assert 3.0 < fast < 4.5
 
 
+def test_the_shipped_network_plays_on_uneven_ground(tmp_path: Path, played: list[Task]):
+    """On the other task's ground, of a seed that no training takes, with its own settings; a filmstrip shows it."""
+    strip = tmp_path / "strip.png"
+    options = PlayOptions(
+        checkpoint=checkpoint.shipped("flat"),
+        task="uneven",
+        frequency=(1.3,),
+        num_envs=2,
+        duration=2.0,
+        device="cpu",
+        filmstrip=strip,
+    )
+    tally = play(options, small("uneven"))
+    assert 2.0 < float(tally.distance[0]) / 2.0 < 4.5
+    (task,) = played
+    assert (task.name, task.learning.hidden_sizes) == ("uneven", (512, 256, 128))
+    assert (task.ground.height_range, task.ground.seed, task.ground.length) == (0.1, 1000, 24.0)
+    assert Image.open(strip).size[1] == TILE_HEIGHT
+
+
+def test_a_checkpoint_of_uneven_ground_plays_without_its_curriculum(tmp_path: Path, played: list[Task]):
+    """It keeps its own ground, at full height everywhere, of the seed asked for; the CPG alone plays on it as well."""
+    uneven = small("uneven")
+    uneven.ground.levels = 2
+    last, film = trained(tmp_path, uneven), tmp_path / "film.mp4"
+    for agent in ("policy", "zero"):
+        options = PlayOptions(
+            checkpoint=last, agent=agent, terrain_seed=7, frequency=(1.0,), num_envs=2, duration=0.1, device="cpu"
+        )
+        play(replace(options, record=film), get_task("flat"))
+    for task in played:
+        assert (task.name, task.ground.levels, task.ground.seed) == ("uneven", 1, 7)
+    assert len(played) == 2 and uneven.ground.levels == 2
+    assert film.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(("method", "title"), [("ppo:2.0", "PPO 2.0"), ("amp:run", "AMP run")])
+def test_methods_without_frequency(tmp_path: Path, capsys: pytest.CaptureFixture, played: list[Task], method, title):
+    """They play as one condition; asked for a frequency, they say that it does nothing; a filmstrip takes a second."""
+    last = trained(tmp_path, small("flat", method))
+    strip, film = tmp_path / "strip.png", tmp_path / "film.mp4"
+    options = PlayOptions(checkpoint=last, num_envs=2, duration=0.2, device="cpu", filmstrip=strip, record=film)
+    capsys.readouterr()
+    tally = play(options, get_task("flat"))
+    out = capsys.readouterr().out
+    assert out.splitlines()[-1].split()[:2] == ["-", "2"]
+    assert f"at {title}: left out of the filmstrip" in out
+    assert len(tally.table().splitlines()) == 2
+    assert played[0].method == method.partition(":")[0]
+    with pytest.raises(UserError, match=rf"--frequency does nothing to a network trained as {title}"):
+        play(PlayOptions(checkpoint=last, frequency=(0.9,), device="cpu"), get_task("flat"))
+    # The gait that it was trained with is played back at any frequency.
+    assert play(PlayOptions(checkpoint=last, agent="mocap", duration=0.1), get_task("flat")).follows_frequency
+
+
+def test_mocap_walks_on_a_plane_and_says_so(capsys: pytest.CaptureFixture, tmp_path: Path):
+    """Without physics nothing would keep it on uneven ground."""
+    strip = tmp_path / "strip.png"
+    options = PlayOptions(agent="mocap", task="uneven", num_envs=3, duration=1.5, device="cpu", filmstrip=strip)
+    play(options, get_task("uneven"))
+    assert "on a plane" in capsys.readouterr().out
+    assert Image.open(strip).size[1] == 3 * TILE_HEIGHT
+
+
+def test_a_task_without_a_shipped_network(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """One sentence says what to give."""
+    monkeypatch.setattr(checkpoint.humanoid, "ASSETS", tmp_path)
+    with pytest.raises(UserError, match="no trained policy ships for task 'uneven'"):
+        play(PlayOptions(task="uneven", device="cpu"), get_task("uneven"))
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"agent": "zero", "terrain_seed": 3}, "ground of task 'flat' is a plane"),
+        ({"terrain_seed": 0}, "ground of task 'flat' is a plane"),
         ({"checkpoint": Path("nowhere.pt")}, "no checkpoint at nowhere.pt"),
         ({"agent": "zero", "frequency": (0.0,)}, "--frequency"),
         ({"agent": "zero", "frequency": (float("nan"),)}, "--frequency"),

@@ -7,64 +7,37 @@ import numpy as np
 import pytest
 import torch
 
-from aicpg_newton import humanoid
 from aicpg_newton.environment import Environment
 from aicpg_newton.evaluation import summaries
-from aicpg_newton.evaluation.protocols import COMMAND, DISTURBANCE, PROTOCOLS, SWEEP, TRANSITION, Protocol
+from aicpg_newton.evaluation.protocols import (
+    COMMAND,
+    DISTURBANCE,
+    PROTOCOLS,
+    SWEEP,
+    TERRAIN,
+    TERRAIN_SEEDS,
+    TRAINING,
+    TRANSITION,
+    Protocol,
+)
 from aicpg_newton.evaluation.recording import Recording, record
 from aicpg_newton.evaluation.rollout import share_out
 from aicpg_newton.evaluation.summaries import Source
+from aicpg_newton.kinematics import sole_heights
+from aicpg_newton.terrain import Ground, Terrain
 from tasks import get_task
 
 SOURCE = Source("AI-CPG", 3, 100)
 
 
-@pytest.fixture
-def glider(puppet):
-    """Class of an engine whose robot glides along x at 1 + 0.5 i m/s in environment i, with steps of 40 and 20."""
-
-    class Glider(puppet):
-        def __init__(self, num_envs: int) -> None:
-            super().__init__(num_envs)
-            self.ticks = 0
-            self.fall_at: dict[int, int] = {}  # environment to step
-            self.pushed: list[torch.Tensor | None] = []
-
-        def step(self, target, target_velocity, reflex_torque, *, push=None) -> None:
-            super().step(target, target_velocity, reflex_torque, push=push)
-            self.pushed.append(push)
-            position = self.state.root_position.clone()
-            position[:, 0] += (1.0 + 0.5 * torch.arange(self.num_envs)) / 60
-            position[:, 2] = 0.88
-            for env, step in self.fall_at.items():
-                if step == self.ticks:
-                    position[env, 2] = 0.3
-            self.ticks += 1
-            force = torch.zeros(self.num_envs, 2, 3)
-            # A stride of 60 steps; each foot stands for 24, so 2 x 6 steps are flight.
-            force[:, 0, 2] = 480.0 if self.ticks % 60 < 24 else 0.0
-            force[:, 1, 2] = 480.0 if 30 <= self.ticks % 60 < 54 else 0.0
-            power = torch.zeros(self.num_envs, humanoid.NUM_JOINTS)
-            power[:, 3] = 50.0
-            self.state = replace(
-                self.state,
-                root_position=position,
-                root_rotation=torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(self.num_envs, 1),
-                joint_position=torch.zeros(self.num_envs, humanoid.NUM_JOINTS),
-                joint_velocity=power / 25.0,
-                joint_torque=power,
-                foot_force=force,
-            )
-
-    return Glider
-
-
 def run(protocol: Protocol, engine, pattern, frequencies=None) -> Recording:
-    """A recording of the CPG alone."""
+    """A recording of the CPG alone, on the engine's ground."""
     task = get_task("flat")
+    if engine.terrain is not None:
+        task.ground = engine.terrain.ground
     task.pushes = protocol.pushes()
     task.termination.episode_steps = protocol.steps + 1
-    environment = Environment(task, engine, pattern, humanoid.motors())
+    environment = Environment(task, engine, pattern)
     start = torch.tensor(protocol.frequencies if frequencies is None else frequencies)
     return record(protocol, start, environment, lambda observed: observed.new_zeros(len(observed), 28))
 
@@ -81,9 +54,21 @@ def test_protocols_are_the_papers():
     for protocol in PROTOCOLS.values():
         assert protocol.columns[-1] == "reason" and len(set(protocol.columns)) == len(protocol.columns)
     assert SWEEP.columns[:-1] == (
-        *("method", "frequency_hz", "seed", "speed_mps", "cost_of_transport", "symmetry_index", "balance_index"),
-        *("froude", "flight_ratio", "survived", "falls_per_minute"),
+        *("method", "condition", "frequency_hz", "seed", "speed_mps", "cost_of_transport", "symmetry_index"),
+        *("balance_index", "froude", "flight_ratio", "survived", "falls_per_minute"),
     )
+    assert TERRAIN.frequencies == TRAINING.frequencies == (0.9, 1.3)
+    assert TERRAIN.duration == 20.0 and TRAINING.duration == 10.0 and len(set(TERRAIN_SEEDS)) == 5
+
+
+def test_checkpoints_of_a_training():
+    """The last ones, or some from the first to the last, and never one twice."""
+    files = list(range(61))
+    assert SWEEP.pick(files) == [60] and DISTURBANCE.pick(files) == [56, 57, 58, 59, 60]
+    assert DISTURBANCE.pick([7]) == TRAINING.pick([7]) == [7] and SWEEP.pick([]) == TRAINING.pick([]) == []
+    even = TRAINING.pick(files)
+    assert len(even) == 12 and (even[0], even[-1]) == (0, 60) and set(np.diff(even)) <= {5, 6}
+    assert TRAINING.pick(files[:5]) == files[:5]
 
 
 def test_environments_are_shared_out_evenly():
@@ -111,6 +96,8 @@ def test_a_sweep_reads_off_the_known_motion(glider, pattern):
         assert (row["symmetry_index"], row["balance_index"]) == (0.0, pytest.approx(1.0))
         assert (row["survived"], row["falls_per_minute"]) == (1.0, 0.0)
         assert stride["stride_frequency_hz"] == pytest.approx(1.0) and stride["duty_factor"] == pytest.approx(0.4)
+        sole = sole_heights(torch.tensor([0.0, 0.0, 0.88]), torch.tensor([0.0, 0.0, 0.0, 1.0]), torch.zeros(28)).amin()
+        assert stride["sole_hover_m"] - stride["sole_penetration_m"] == pytest.approx(float(sole), abs=1e-6)
 
 
 def test_falls_end_what_is_measured_and_are_counted(glider, pattern):
@@ -125,6 +112,32 @@ def test_falls_end_what_is_measured_and_are_counted(glider, pattern):
     row = summaries.sweep_rows(recording, torch.tensor([1.0]), SOURCE)[0][0]
     assert row["survived"] == 0.5 and row["falls_per_minute"] == pytest.approx(5.0)
     assert row["speed_mps"] == pytest.approx(1.25, rel=1e-3)
+
+
+def test_the_edge_of_the_terrain_ends_an_episode_without_a_fall(glider, pattern):
+    """The faster of two robots comes to the edge: it starts again, and only its way before counts."""
+    terrain = Terrain.make(Ground(height_range=0.1, length=24.0, width=16.0))
+    assert terrain is not None
+    recording = run(replace(SWEEP, duration=6.0, frequencies=(1.0,)), glider(9, terrain), pattern)
+    fast = 8
+    first = int(recording.ended[:, fast].long().argmax())
+    assert 60 < first < 400 and not recording.fallen.any()
+    x = recording.root_position[..., 0]
+    assert x[first, fast] > 22.9 and x[first + 1, fast] < 13.0
+    assert int(recording.standing[:, fast].sum()) == first
+    assert recording.age[first + 1, fast] == 0 and math.isnan(recording.speed[first + 1, fast])
+    assert not recording.settled[first:, fast].any()
+    assert torch.nanmean(recording.speed[:, fast]).item() == pytest.approx(5.0, rel=1e-3)
+    row = summaries.sweep_rows(recording.among(torch.arange(9) == fast), torch.tensor([1.0]), SOURCE)[0][0]
+    assert row["speed_mps"] == pytest.approx(5.0, rel=1e-3)
+    assert (row["survived"], row["falls_per_minute"], row["reason"]) == (1.0, 0.0, "")
+    rows, summary = summaries.transition_rows(recording, torch.tensor([1.0]), SOURCE)
+    assert rows[-1]["standing"] == 1.0
+    assert summary["environments_that_never_fell"] == 9 > summary["environments_that_got_through"]
+    heights = [pose["height_m"] for pose in summary["poses"]]
+    assert max(abs(height - 0.88) for height in heights) > 0.005  # above the ground below, not above 0
+    place = recording.root_position[59, 0]
+    assert float(place[2] - recording.ground_height[59, 0]) == pytest.approx(0.88 - float(terrain.height(place)))
 
 
 def test_everything_falls_at_once(glider, pattern):
@@ -155,7 +168,7 @@ def test_everything_falls_at_once(glider, pattern):
     assert tables["sweep"][0][0]["falls_per_minute"] == pytest.approx(3600.0)
     assert tables["sweep"][0][0]["survived"] == 0.0
     changes = tables["transition"][1]
-    assert changes["flight_begins_hz"]["mean"] is None and "stayed up" in changes["flight_begins_hz"]["reason"]
+    assert changes["flight_begins_hz"]["mean"] is None and "got through" in changes["flight_begins_hz"]["reason"]
     assert changes["poses"] == []
 
 
@@ -196,8 +209,10 @@ def test_gait_changes_by_hand():
     """Fr passes 0.5 at 2.048 m/s; flight comes in windows 1000 to 1099 and from 1300 on."""
     ramp = (0.7 + 0.023 * torch.arange(1800) / 60).unsqueeze(1).repeat(1, 2)
     nothing = torch.zeros(1800, 2)
-    others = {each.name: nothing for each in fields(Recording) if each.name not in ("frequency", "fallen")}
-    recording = Recording(frequency=ramp, fallen=nothing.bool(), **others)
+    given = ("frequency", "fallen", "ended")
+    others = {each.name: nothing for each in fields(Recording) if each.name not in given}
+    others = {**others, "terrain": None}
+    recording = Recording(frequency=ramp, fallen=nothing.bool(), ended=nothing.bool(), **others)
     speed = torch.linspace(1.0, 4.0, 1800).unsqueeze(1).repeat(1, 2)
     flight = torch.zeros(1800, 2)
     flight[1000:1100] = 0.1

@@ -16,8 +16,8 @@ CONTROLLERS = [{"method": "AI-CPG", "seed": 1, "task": "flat", "checkpoints": [{
 
 def row(**changes) -> records.Row:
     """A row of the sweep."""
-    numbers = {column: 0.5 for column in SWEEP.columns if column not in ("method", "seed", "reason")}
-    return {"method": "AI-CPG", "seed": 1, **numbers, "reason": "", **changes}
+    numbers = {column: 0.5 for column in SWEEP.columns if column not in ("method", "condition", "seed", "reason")}
+    return {"method": "AI-CPG", "condition": "", "seed": 1, **numbers, "reason": "", **changes}
 
 
 def write(folder: Path, rows: list[records.Row]) -> None:
@@ -54,6 +54,16 @@ def test_an_empty_cell_needs_a_reason(tmp_path: Path):
     """A row without it is a mistake in the program."""
     with pytest.raises(AssertionError):
         write(tmp_path, [row(speed_mps=math.inf)])
+
+
+def test_a_row_needs_a_frequency_or_a_condition(tmp_path: Path):
+    """One of them is enough: a controller that follows no frequency is no failure."""
+    write(tmp_path, [row(condition="1.5", frequency_hz=math.nan), row()])
+    first, second = records.read_table(tmp_path, "sweep")
+    assert (first["condition"], first["reason"]) == ("1.5", "") and math.isnan(first["frequency_hz"])
+    assert second["condition"] == "" and second["frequency_hz"] == 0.5
+    with pytest.raises(AssertionError):
+        write(tmp_path / "neither", [row(frequency_hz=math.nan)])
 
 
 def test_results_are_never_overwritten(tmp_path: Path):

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from aicpg_newton import observations
 from aicpg_newton.humanoid import mirror_joints
 from aicpg_newton.learning.settings import runner_settings, with_mirror_images
-from aicpg_newton.task import Learning
+from aicpg_newton.task import Learning, Task
 
 
 def test_mirror_images_follow_the_originals():
@@ -60,10 +60,11 @@ def test_learning_from_mirror_images_makes_a_symmetric_network():
 def test_settings_reach_rsl_rl():
     """Numbers of the task stand where rsl_rl looks for them, and symmetry can be turned off."""
     learning = Learning(learning_rate=2e-4, hidden_sizes=(32, 16), activation="elu", steps_per_iteration=7)
-    settings = runner_settings(learning, seed=5)
+    task = Task(name="test", learning=learning)
+    settings = runner_settings(task, seed=5)
     assert settings["algorithm"]["learning_rate"] == 2e-4
     assert settings["actor"]["hidden_dims"] == settings["critic"]["hidden_dims"] == [32, 16]
     assert settings["num_steps_per_env"] == 7
     assert settings["algorithm"]["symmetry_cfg"]["use_data_augmentation"] is True
     learning.symmetry = False
-    assert runner_settings(learning, seed=5)["algorithm"]["symmetry_cfg"] is None
+    assert runner_settings(task, seed=5)["algorithm"]["symmetry_cfg"] is None

@@ -13,7 +13,8 @@ from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.environment import Environment
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import RunOptions, task_of, train
+from aicpg_newton.methods import with_method
 from aicpg_newton.task import Task
 from tasks import get_task
 
@@ -28,7 +29,7 @@ def small_task() -> Task:
     return task
 
 
-def options(folder: Path, **changes) -> RunOptions:
+def options(folder: Path | None, **changes) -> RunOptions:
     """Two iterations of four environments."""
     return RunOptions(**{"num_envs": 4, "device": "cpu", "max_iterations": 2, "run_dir": folder, **changes})
 
@@ -71,7 +72,7 @@ def test_restore_continues_exactly(run: Path, puppet, pattern: PatternNetwork):
     """Networks, normalisers, optimiser moments, learning rate, iteration and samples are those of the checkpoint."""
     content = checkpoint.read(run)
     content["algorithm"]["optimizer_state_dict"]["param_groups"][0]["lr"] = 1.25e-4
-    environment = Environment(small_task(), puppet(4), pattern, humanoid.motors())
+    environment = Environment(small_task(), puppet(4), pattern)
     runner = Runner(environment, content["run"])
     runner.restore(content)
     saved, restored = content["algorithm"], runner.alg.save()
@@ -114,6 +115,54 @@ def test_resume_in_the_same_folder_keeps_what_is_there(run: Path, tmp_path: Path
     assert {path.name for path in folder.glob("model_*.pt")} == {"model_0.pt", "model_1.pt", "model_2.pt"}
 
 
+@pytest.mark.parametrize("engine", ["mujoco", "newton"])
+@pytest.mark.parametrize("method", ["ppo", "amp"])
+def test_baselines_train_on_both_engines(tmp_path: Path, method: str, engine: str):
+    """Networks change, the checkpoint says what it is, and the discriminator's losses are logged for AMP alone."""
+    task = with_method(small_task(), method)
+    task.imitation.discriminator_hidden_sizes = (16, 8)
+    task.imitation.discriminator_batch = 8
+    task.learning.save_interval = 1
+    last = train(task, options(tmp_path / "run", engine=engine))
+    assert task_of(last) == task
+    first, second = (checkpoint.read(path)["algorithm"]["actor_state_dict"] for path in checkpoint.all_of(last.parent))
+    assert not torch.equal(first["mlp.0.weight"], second["mlp.0.weight"])
+    log = EventAccumulator(str(tmp_path / "run")).Reload()
+    tags = set(log.Tags()["scalars"])
+    assert ("Loss/discriminator" in tags) == (method == "amp")
+    resumed = train(task, options(None, engine=engine, resume=tmp_path / "run", max_iterations=3))
+    assert checkpoint.read(resumed)["iteration"] == 3
+
+
+def test_a_new_run_may_begin_with_trained_networks(run: Path, tmp_path: Path):
+    """Networks and normalisers come from the checkpoint, with or without its optimiser; the rest is new."""
+    shipped = tmp_path / "shipped.pt"
+    checkpoint.save(checkpoint.without_optimiser(checkpoint.read(run)), shipped)
+    task = small_task()
+    task.learning.learning_rate = 1e-12  # so that the first iteration changes next to nothing
+    task.learning.minibatches = task.learning.epochs = 1
+    last = train(task, options(tmp_path / "second", start_from=shipped, max_iterations=1))
+    before, after = (checkpoint.read(path)["algorithm"] for path in (shipped, last))
+    for name in ("actor_state_dict", "critic_state_dict"):
+        assert torch.allclose(before[name]["mlp.0.weight"], after[name]["mlp.0.weight"], atol=1e-6)
+        assert after[name]["obs_normalizer.count"] == before[name]["obs_normalizer.count"] + 32
+    content = checkpoint.read(last)
+    assert (content["iteration"], content["samples"]) == (1, 32)
+    assert "shipped.pt (64 samples)" in content["run"]["start_from"]
+    with pytest.raises(UserError, match="one of them"):
+        train(task, options(tmp_path / "third", start_from=shipped, resume=run))
+
+
+def test_a_run_stops_when_its_time_is_over(tmp_path: Path):
+    """At the next checkpoint, from which it goes on; nothing is lost."""
+    task = small_task()
+    task.learning.save_interval = 1
+    last = train(task, options(tmp_path / "run", max_iterations=50, max_minutes=1e-6))
+    assert checkpoint.read(last)["iteration"] == 1
+    assert last == train(task, options(None, resume=tmp_path / "run", max_iterations=2)).with_name("model_0.pt")
+    assert checkpoint.read(tmp_path / "run")["iteration"] == 2
+
+
 def test_nothing_left_to_do(run: Path):
     """Resuming a finished run is refused with the number to raise."""
     with pytest.raises(UserError, match="2 iterations already"):
@@ -141,6 +190,8 @@ def test_other_layer_sizes_cannot_resume(run: Path, tmp_path: Path):
     [
         ({"num_envs": 0}, "--num-envs is 0"),
         ({"max_iterations": 0}, "--max-iterations is 0"),
+        ({"max_minutes": 0.0}, "--max-minutes is 0"),
+        ({"start_from": Path("nowhere.pt")}, "no checkpoint at nowhere.pt"),
         ({"engine": "bullet"}, "bullet"),
         ({"pattern": Path("nowhere.pt")}, "no pattern network at nowhere.pt"),
         ({"resume": Path("nowhere.pt")}, "no checkpoint at nowhere.pt"),

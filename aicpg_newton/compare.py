@@ -1,0 +1,153 @@
+"""Train methods side by side and evaluate them together: python -m aicpg_newton.compare --out runs/comparison.
+
+Every training gets the same number of environments and iterations, so the same number of samples. What is finished is
+not done again: the same command continues where time ran out.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import tyro
+
+from aicpg_newton import checkpoint
+from aicpg_newton.errors import UserError, run_command
+from aicpg_newton.evaluation import figures
+from aicpg_newton.evaluation.controllers import trained
+from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP
+from aicpg_newton.evaluation.run import Laboratory, evaluate
+from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.methods import run_name, with_method
+from aicpg_newton.task import Task, task_from_dict
+from tasks import get_task
+
+PAPER = (
+    "ai-cpg",
+    *(f"ppo:{speed}" for speed in (1.5, 2.0, 2.5, 3.0, 3.5, 4.0)),
+    *("amp:walk", "amp:run"),
+)
+"""Methods and conditions of the paper (Sec. III-A)."""
+
+
+@dataclass(kw_only=True)
+class CompareOptions:
+    """Which trainings to compare, how long to train and where to keep it all."""
+
+    out: Path
+    """Folder of the comparison: a run folder for each training, and ``evaluation`` once all are done."""
+    task: str = "flat"
+    """Task of the registry."""
+    methods: tuple[str, ...] = PAPER
+    """Methods, with the condition after a colon where there is one."""
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    """Seeds of each (paper: five)."""
+    max_iterations: int = 3000
+    """Iterations of each training (paper, Sec. III-A)."""
+    max_minutes: float | None = None
+    """Time for everything but the evaluation [min]; the same command goes on from there."""
+    save_interval: int = 100
+    """Iterations between checkpoints (paper, Sec. III-A)."""
+    num_envs: int | None = None
+    """Number of environments in training; 8192 on CUDA and 256 on a CPU when not given."""
+    test_envs: int = 64
+    """Number of environments in the evaluation."""
+    device: str = "auto"
+    """auto, cpu or cuda:N."""
+    engine: str = "auto"
+    """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
+
+
+@dataclass
+class Training:
+    """One of the trainings."""
+
+    task: Task
+    seed: int
+    folder: Path
+
+    def iterations(self) -> int:
+        """Iterations that are done and saved.
+
+        Raises:
+            UserError: The folder holds a training with other settings.
+        """
+        if not (self.folder.is_dir() and any(self.folder.glob("model_*.pt"))):
+            return 0
+        content = checkpoint.read(self.folder)
+        if task_from_dict(content["task"], str(self.folder)) != self.task:
+            raise UserError(f"{self.folder} was trained with other settings; give --out another folder or move it away")
+        return content["iteration"]
+
+
+def trainings(options: CompareOptions) -> list[Training]:
+    """All trainings, seed by seed, so that every method has had its turn before the next seed.
+
+    Raises:
+        UserError: A task or method is unknown, or nothing is to be trained.
+    """
+    if not options.methods or not options.seeds:
+        raise UserError("--methods and --seeds are empty in part; give at least one of each")
+    found = []
+    for seed in options.seeds:
+        for choice in options.methods:
+            task = with_method(get_task(options.task), choice)
+            task = replace(task, learning=replace(task.learning, save_interval=options.save_interval))
+            task.validate()
+            found.append(Training(task, seed, options.out / f"{run_name(task)}_seed_{seed}"))
+    return found
+
+
+def compare(options: CompareOptions) -> bool:
+    """Train what is not finished, one after the other, then evaluate all of it together.
+
+    Returns:
+        Whether all trainings are finished.
+
+    Raises:
+        UserError: An option cannot be met.
+    """
+    if options.max_minutes is not None and not options.max_minutes > 0.0:
+        raise UserError(f"--max-minutes is {options.max_minutes}; give a positive number")
+    everything = trainings(options)
+    began = time.monotonic()
+    for training in everything:
+        left = None if options.max_minutes is None else options.max_minutes - (time.monotonic() - began) / 60
+        if left is not None and left <= 0.0:
+            break
+        done = training.iterations()
+        if done < options.max_iterations:
+            train(
+                training.task,
+                RunOptions(
+                    num_envs=options.num_envs,
+                    device=options.device,
+                    engine=options.engine,
+                    max_iterations=options.max_iterations,
+                    max_minutes=left,
+                    seed=training.seed,
+                    run_dir=None if done else training.folder,
+                    resume=training.folder if done else None,
+                ),
+            )
+    iterations = [training.iterations() for training in everything]
+    for training, done in zip(everything, iterations, strict=True):
+        print(f"{training.folder.name:32}{done:6d} of {options.max_iterations} iterations")
+    if min(iterations) < options.max_iterations:
+        print("Not all are finished: give the same command again. The evaluation comes when they are.")
+        return False
+    results = options.out / "evaluation"
+    if (results / f"{SWEEP.name}.csv").exists():
+        print(f"Evaluated before: {results}")
+        return True
+    laboratory = Laboratory(options.test_envs, options.engine, options.device, show=True)
+    controllers = [trained(training.folder) for training in everything]
+    evaluate([SWEEP, DISTURBANCE], controllers, laboratory, results)
+    for path in figures.draw_all([results], results):
+        print(f"Figure: {path}")
+    return True
+
+
+if __name__ == "__main__":
+    run_command(lambda: compare(tyro.cli(CompareOptions, description=__doc__)))

@@ -1,0 +1,49 @@
+"""What tests of evaluations share: a robot whose motion is known."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aicpg_newton import humanoid
+from aicpg_newton.terrain import Terrain
+
+
+@pytest.fixture
+def glider(puppet):
+    """Class of an engine whose robot glides along x at 1 + 0.5 i m/s in environment i, with steps of 40 and 20."""
+
+    class Glider(puppet):
+        def __init__(self, num_envs: int, terrain: Terrain | None = None) -> None:
+            super().__init__(num_envs, terrain)
+            self.ticks = 0
+            self.fall_at: dict[int, int] = {}  # environment to step
+            self.pushed: list[torch.Tensor | None] = []
+
+        def step(self, target, target_velocity, reflex_torque, *, push=None) -> None:
+            super().step(target, target_velocity, reflex_torque, push=push)
+            self.pushed.append(push)
+            position = self.state.root_position.clone()
+            position[:, 0] += (1.0 + 0.5 * torch.arange(self.num_envs)) / 60
+            position[:, 2] = 0.88
+            for env, step in self.fall_at.items():
+                if step == self.ticks:
+                    position[env, 2] = 0.3
+            self.ticks += 1
+            force = torch.zeros(self.num_envs, 2, 3)
+            # A stride of 60 steps; each foot stands for 24, so 2 x 6 steps are flight.
+            force[:, 0, 2] = 480.0 if self.ticks % 60 < 24 else 0.0
+            force[:, 1, 2] = 480.0 if 30 <= self.ticks % 60 < 54 else 0.0
+            power = torch.zeros(self.num_envs, humanoid.NUM_JOINTS)
+            power[:, 3] = 50.0
+            self.state = replace(
+                self.state,
+                root_position=position,
+                root_rotation=torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(self.num_envs, 1),
+                joint_position=torch.zeros(self.num_envs, humanoid.NUM_JOINTS),
+                joint_velocity=power / 25.0,
+                joint_torque=power,
+                foot_force=force,
+            )
+
+    return Glider

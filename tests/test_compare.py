@@ -1,0 +1,92 @@
+"""Training several methods one after the other, in pieces, and evaluating them together."""
+
+from pathlib import Path
+
+import pytest
+
+from aicpg_newton import checkpoint, compare
+from aicpg_newton.compare import PAPER, CompareOptions, trainings
+from aicpg_newton.errors import UserError
+from aicpg_newton.methods import METHODS
+from aicpg_newton.task import Task
+from tasks import get_task
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tasks with little learning."""
+
+    def task(name: str) -> Task:
+        found = get_task(name)
+        found.learning.hidden_sizes = (16,)
+        found.learning.steps_per_iteration = 4
+        found.learning.minibatches = found.learning.epochs = 1
+        return found
+
+    monkeypatch.setattr(compare, "get_task", task)
+
+
+def test_the_papers_comparison_has_all_methods():
+    """Nine trainings a seed, every method before the next seed, no two in one folder."""
+    found = trainings(CompareOptions(out=Path("x"), seeds=(0, 1)))
+    assert len(found) == 2 * len(PAPER) == 18
+    assert [training.seed for training in found] == [0] * 9 + [1] * 9
+    assert {training.task.method for training in found} == set(METHODS)
+    assert [training.task.target_speed for training in found[1:7]] == [1.5, 2.0, 2.5, 3.0, 3.5, 4.0]
+    assert len({training.folder for training in found}) == 18
+    assert found[3].folder == Path("x/flat_ppo_2.5_seed_0")
+
+
+@pytest.mark.usefixtures("small")
+def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The same command does what is missing and no more; only when all is done it evaluates."""
+    evaluated = []
+    monkeypatch.setattr(compare, "evaluate", lambda protocols, controllers, *_: evaluated.append(controllers))
+    monkeypatch.setattr(compare.figures, "draw_all", lambda folders, out: [])
+    settings = {"out": tmp_path / "c", "methods": ("ai-cpg", "ppo:2"), "seeds": (3,), "device": "cpu"}
+    options = CompareOptions(**settings, max_iterations=2, save_interval=1, num_envs=2, test_envs=2, max_minutes=1e-9)
+    assert not compare.compare(options)
+    assert not (tmp_path / "c").exists()
+    options.max_minutes = 0.001
+    assert not compare.compare(options)
+    first = tmp_path / "c" / "flat_seed_3"
+    assert checkpoint.read(first)["iteration"] == 1
+    assert not (tmp_path / "c" / "flat_ppo_2.0_seed_3").exists()
+    assert not evaluated
+    options.max_minutes = None
+    assert compare.compare(options)
+    written = {path: path.stat().st_mtime for path in tmp_path.rglob("model_*.pt")}
+    assert {path.parent.name for path in written} == {"flat_seed_3", "flat_ppo_2.0_seed_3"}
+    assert all(checkpoint.read(path.parent)["iteration"] == 2 for path in written)
+    assert [(each.seed, each.task.method) for each in evaluated[0]] == [(3, "ai-cpg"), (3, "ppo")]
+    assert compare.compare(options)
+    assert {path: path.stat().st_mtime for path in tmp_path.rglob("model_*.pt")} == written
+
+
+@pytest.mark.usefixtures("small")
+def test_another_training_in_the_folder_is_refused(tmp_path: Path):
+    """Settings that differ from those it was begun with are not mixed up with them."""
+    settings = {"out": tmp_path, "methods": ("ai-cpg",), "seeds": (0,), "device": "cpu", "num_envs": 2}
+    compare.compare(CompareOptions(**settings, max_iterations=2, save_interval=1, max_minutes=0.001))
+    with pytest.raises(UserError, match="trained with other settings"):
+        compare.compare(CompareOptions(**settings, max_iterations=2, save_interval=2))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"methods": ()}, "empty in part"),
+        ({"methods": ("ai-cpg:1.5",)}, "has no conditions"),
+        ({"methods": ("ppo:fast",)}, "does not give a number for target_speed"),
+        ({"methods": ("ppo:-1",)}, "target_speed is -1"),
+        ({"methods": ("amp:hop",)}, "'hop' for reference"),
+        ({"methods": ("sac",)}, "unknown method"),
+        ({"task": "moon"}, "unknown task"),
+        ({"max_minutes": 0.0}, "--max-minutes is 0"),
+    ],
+)
+def test_bad_options(tmp_path: Path, changes: dict, message: str):
+    """One sentence each, and no folder is left."""
+    with pytest.raises(UserError, match=message):
+        compare.compare(CompareOptions(out=tmp_path / "never", **changes))
+    assert not (tmp_path / "never").exists()
