@@ -10,7 +10,7 @@ import torch
 import tyro
 
 from aicpg_newton.cpg import PatternNetwork
-from aicpg_newton.device import resolve_device
+from aicpg_newton.device import resolve_device, torch_threads
 from aicpg_newton.engines import ENGINES, Engine
 from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError, run_command
@@ -80,12 +80,13 @@ def measure(options: BenchmarkOptions, name: str, task: Task, num_envs: int, dev
     def rate(make_step: Callable[[], Callable[[], object]]) -> float:
         return num_envs * _calls_per_second(restart, make_step, options.seconds, device)
 
-    around = rate(lambda: lambda: environment.step(actions))
-    command = environment.control.command(0.0 * actions, engine.state)
-    alone = rate(lambda: lambda: engine.step(*command))
-    bare_loop = getattr(engine, "bare_loop", None)
-    bare = None if bare_loop is None else rate(bare_loop)
-    restart()
+    with torch_threads(1):  # as in training
+        around = rate(lambda: lambda: environment.step(actions))
+        command = environment.control.command(0.0 * actions, engine.state)
+        alone = rate(lambda: lambda: engine.step(*command))
+        bare_loop = getattr(engine, "bare_loop", None)
+        bare = None if bare_loop is None else rate(bare_loop)
+        restart()
     learning = _learning_rate(environment, options.iterations)
     return Rates(name, task.name, num_envs, build, bare, alone, around, learning, _buffers(engine))
 

@@ -1,12 +1,15 @@
 """Training several methods one after the other, in pieces, and evaluating them together."""
 
+import itertools
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from aicpg_newton import checkpoint, compare
 from aicpg_newton.compare import PAPER, CompareOptions, trainings
 from aicpg_newton.errors import UserError
+from aicpg_newton.learning import runner
 from aicpg_newton.methods import METHODS
 from aicpg_newton.task import Task
 from tasks import get_task
@@ -26,6 +29,16 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compare, "get_task", task)
 
 
+@pytest.fixture
+def minute_a_look(monkeypatch: pytest.MonkeyPatch) -> float:
+    """A clock that goes on by a minute whenever it is read; returns how many minutes one iteration then needs."""
+    minutes = itertools.count()
+    clock = SimpleNamespace(monotonic=lambda: 60.0 * next(minutes))
+    monkeypatch.setattr(compare, "time", clock)
+    monkeypatch.setattr(runner, "time", clock)
+    return 1.5  # read when the comparison and when the training begin, and over at the first checkpoint
+
+
 def test_the_papers_comparison_has_all_methods():
     """Nine trainings a seed, every method before the next seed, no two in one folder."""
     found = trainings(CompareOptions(out=Path("x"), seeds=(0, 1)))
@@ -38,7 +51,9 @@ def test_the_papers_comparison_has_all_methods():
 
 
 @pytest.mark.usefixtures("small")
-def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, minute_a_look: float
+):
     """The same command does what is missing and no more; only when all is done it evaluates."""
     evaluated = []
     monkeypatch.setattr(compare, "evaluate", lambda protocols, controllers, *_: evaluated.append(controllers))
@@ -47,7 +62,7 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(tmp_path: 
     options = CompareOptions(**settings, max_iterations=2, save_interval=1, num_envs=2, test_envs=2, max_minutes=1e-9)
     assert not compare.compare(options)
     assert not (tmp_path / "c").exists()
-    options.max_minutes = 0.001
+    options.max_minutes = minute_a_look
     assert not compare.compare(options)
     first = tmp_path / "c" / "flat_seed_3"
     assert checkpoint.read(first)["iteration"] == 1
@@ -64,10 +79,10 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(tmp_path: 
 
 
 @pytest.mark.usefixtures("small")
-def test_another_training_in_the_folder_is_refused(tmp_path: Path):
+def test_another_training_in_the_folder_is_refused(tmp_path: Path, minute_a_look: float):
     """Settings that differ from those it was begun with are not mixed up with them."""
     settings = {"out": tmp_path, "methods": ("ai-cpg",), "seeds": (0,), "device": "cpu", "num_envs": 2}
-    compare.compare(CompareOptions(**settings, max_iterations=2, save_interval=1, max_minutes=0.001))
+    compare.compare(CompareOptions(**settings, max_iterations=2, save_interval=1, max_minutes=minute_a_look))
     with pytest.raises(UserError, match="trained with other settings"):
         compare.compare(CompareOptions(**settings, max_iterations=2, save_interval=2))
 

@@ -1,9 +1,9 @@
-"""Choice of the device."""
+"""Choice of the device and of the number of threads."""
 
 import pytest
 import torch
 
-from aicpg_newton.device import resolve_device
+from aicpg_newton.device import resolve_device, torch_threads
 from aicpg_newton.errors import UserError
 
 
@@ -33,3 +33,16 @@ def test_bad_devices(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     with pytest.raises(UserError, match=r"'cuda:3' is not there \(CUDA devices found: 1\)"):
         resolve_device("cuda:3")
+
+
+def test_threads_are_given_back():
+    """Nested, as a decorator, and when something goes wrong inside."""
+    before = torch.get_num_threads()
+    with torch_threads(1):
+        assert torch.get_num_threads() == 1
+        assert torch_threads(3)(torch.get_num_threads)() == 3
+        assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == before
+    with pytest.raises(ValueError, match="inside"), torch_threads(before + 1):
+        raise ValueError("inside")
+    assert torch.get_num_threads() == before

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import torch
 
 from aicpg_newton.cpg import CONTROL_DT, PatternNetwork, advance_phase
+from aicpg_newton.device import torch_threads
 from aicpg_newton.environment import Environment
 from aicpg_newton.gait import gait_pose
 
@@ -91,18 +92,19 @@ def physical_frames(environment: Environment, agent: Agent, steps: int, tally: T
     """
     episode = torch.zeros(environment.num_envs, dtype=torch.long, device=environment.device)
     observed = environment.get_observations()
-    for _ in range(steps):
-        observed, _, dones, _ = environment.step(agent(observed["policy"]))
-        outcome = environment.outcome
-        tally.add(outcome.state.root_linear_velocity[:, 0], outcome.fallen | outcome.off_course)
-        yield Frame(
-            root_position=outcome.state.root_position,
-            root_rotation=outcome.state.root_rotation,
-            joint_position=outcome.state.joint_position,
-            phase=outcome.phase,
-            episode=episode.clone(),
-        )
-        episode += dones
+    with torch_threads(1):
+        for _ in range(steps):
+            observed, _, dones, _ = environment.step(agent(observed["policy"]))
+            outcome = environment.outcome
+            tally.add(outcome.state.root_linear_velocity[:, 0], outcome.fallen | outcome.off_course)
+            yield Frame(
+                root_position=outcome.state.root_position,
+                root_rotation=outcome.state.root_rotation,
+                joint_position=outcome.state.joint_position,
+                phase=outcome.phase,
+                episode=episode.clone(),
+            )
+            episode += dones
 
 
 @torch.inference_mode()

@@ -12,6 +12,7 @@ import torch
 from rsl_rl.runners import OnPolicyRunner
 
 from aicpg_newton import checkpoint
+from aicpg_newton.device import torch_threads
 from aicpg_newton.environment import Environment
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.settings import runner_settings
@@ -43,6 +44,20 @@ class Runner(OnPolicyRunner):
         super().__init__(environment, settings, log_dir=log_dir, device=str(environment.device))
         # rsl_rl keeps the revision and the uncommitted changes of this project with the run.
         self.logger.git_status_repos = [__file__]
+        self.alg.update = torch_threads(torch.get_num_threads())(self.alg.update)
+
+    @torch_threads(1)
+    def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
+        """Collect on one torch thread and update on all, iteration after iteration.
+
+        Args:
+            num_learning_iterations: Number of iterations to do.
+            init_at_random_ep_len: Begin with episodes of random age, so that they do not all end at once.
+
+        Raises:
+            TimeIsUp: The time given to this run is over.
+        """
+        super().learn(num_learning_iterations, init_at_random_ep_len)
 
     def save(self, path: str, infos: dict | None = None) -> None:
         """Write a checkpoint after the current iteration.

@@ -1,16 +1,20 @@
 """A run from settings to checkpoints, with physics, and its exact continuation."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 import yaml
+from rsl_rl.algorithms import PPO
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from aicpg_newton import checkpoint, humanoid
 from aicpg_newton.cpg import PatternNetwork
-from aicpg_newton.environment import Environment
+from aicpg_newton.device import torch_threads
+from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.training import RunOptions, task_of, train
@@ -151,6 +155,26 @@ def test_a_new_run_may_begin_with_trained_networks(run: Path, tmp_path: Path):
     assert "shipped.pt (64 samples)" in content["run"]["start_from"]
     with pytest.raises(UserError, match="one of them"):
         train(task, options(tmp_path / "third", start_from=shipped, resume=run))
+
+
+def test_physics_gets_the_cores_and_learning_all_threads(pattern: PatternNetwork, monkeypatch: pytest.MonkeyPatch):
+    """While samples are collected torch has one thread; while the networks are updated it has all it had before."""
+    seen = {}
+
+    def spy(name: str, call: Callable) -> Callable:
+        def spied(*args: Any) -> Any:
+            seen.setdefault(name, set()).add(torch.get_num_threads())
+            return call(*args)
+
+        return spied
+
+    monkeypatch.setattr(Environment, "step", spy("step", Environment.step))
+    monkeypatch.setattr(PPO, "update", spy("update", PPO.update))
+    with torch_threads(3):
+        task = small_task()
+        Runner(Environment(task, engine_for(task, "mujoco", 4, torch.device("cpu")), pattern), {"seed": 0}).learn(2)
+        assert torch.get_num_threads() == 3
+    assert seen == {"step": {1}, "update": {3}}
 
 
 def test_a_run_stops_when_its_time_is_over(tmp_path: Path):
