@@ -13,8 +13,8 @@ import torch
 
 from aicpg_newton import rewards
 from aicpg_newton.cpg import PatternNetwork, pd_torque
-from aicpg_newton.engines.interface import RobotState
-from aicpg_newton.gait import StartState, gait_start
+from aicpg_newton.engines.interface import BodyState, RobotState
+from aicpg_newton.gait import gait_start
 from aicpg_newton.humanoid import NUM_JOINTS, Motors
 from aicpg_newton.kinematics import skeleton, sole_heights
 from aicpg_newton.style import style_state
@@ -75,7 +75,7 @@ class Control:
         """Terms that come with this control, each of shape [num_envs]; named as in ``RewardWeights``."""
         return {}
 
-    def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> StartState:
+    def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> BodyState:
         """Start states of some robots on flat ground at the origin.
 
         Args:
@@ -123,7 +123,7 @@ class PatternControl(Control):
         error = rewards.pattern_error(self.target, state.joint_position, settings.pattern_error)
         return {"pattern_tracking": rewards.pattern_tracking(error, settings.pattern_error_bound)}
 
-    def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> StartState:
+    def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> BodyState:
         """See :meth:`Control.start`: the gait at this phase and frequency."""
         return gait_start(self.pattern, phase, frequency, self.pattern.nominal_speed(frequency) * speed_share)
 
@@ -143,7 +143,7 @@ class TorqueControl(Control):
         speed = rewards.target_velocity(state.root_linear_velocity, target_direction)
         return {"target_speed": rewards.target_speed(speed, self.task.target_speed)}
 
-    def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> StartState:
+    def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> BodyState:
         """See :meth:`Control.start`: standing still, feet on the ground, every joint a little off."""
         rows, device = len(phase), phase.device
         noise = 2.0 * torch.rand(rows, NUM_JOINTS, generator=self.generator, device=device) - 1.0
@@ -153,7 +153,7 @@ class TorqueControl(Control):
         rotation = torch.tensor([0.0, 0.0, 0.0, 1.0], device=device).expand(rows, 4)
         position = still.clone()
         position[:, 2] = -sole_heights(still, rotation, angles).amin(dim=1)
-        return StartState(position, rotation, still, still, angles, torch.zeros_like(angles))
+        return BodyState(position, rotation, still, still, angles, torch.zeros_like(angles))
 
 
 class TargetControl(Control):
@@ -187,17 +187,9 @@ class TargetControl(Control):
 
     def style(self, state: RobotState, ground_height: torch.Tensor) -> torch.Tensor:
         """See :meth:`Control.style`."""
-        return style_state(
-            root_position=state.root_position,
-            root_rotation=state.root_rotation,
-            root_linear_velocity=state.root_linear_velocity,
-            root_angular_velocity=state.root_angular_velocity,
-            joint_position=state.joint_position,
-            joint_velocity=state.joint_velocity,
-            ground_height=ground_height,
-        )
+        return style_state(state, ground_height)
 
-    def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> StartState:
+    def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> BodyState:
         """See :meth:`Control.start`: the imitated gait at its own frequency and speed."""
         own = torch.full_like(frequency, self._gait.frequency)
         return gait_start(self.pattern, phase, own, torch.full_like(own, self._gait.speed))

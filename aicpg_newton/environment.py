@@ -11,9 +11,8 @@ from tensordict import TensorDict
 
 from aicpg_newton import observations, rewards, rotations
 from aicpg_newton.cpg import CONTROL_DT, PatternNetwork, advance_phase
-from aicpg_newton.engines import Engine, RobotState, make_engine
+from aicpg_newton.engines import BodyState, Engine, RobotState, make_engine
 from aicpg_newton.errors import UserError
-from aicpg_newton.gait import StartState
 from aicpg_newton.humanoid import NUM_JOINTS
 from aicpg_newton.kinematics import sole_corners
 from aicpg_newton.methods import get_method
@@ -225,17 +224,15 @@ class Environment(VecEnv):
         speed_share = self._uniform(self.task.resets.minimum_speed, self.task.resets.maximum_speed)
         start = self.control.start(self.phase[rows], self.frequency[rows], speed_share[rows])
         self._place(start, rows)
-        self.engine.reset(
-            mask,
-            **{
-                name: value.new_zeros(self.num_envs, value.shape[1]).index_copy(0, rows, value)
-                for name, value in vars(start).items()
-            },
-        )
+        spread = {
+            name: value.new_zeros(self.num_envs, value.shape[1]).index_copy(0, rows, value)
+            for name, value in vars(start).items()
+        }
+        self.engine.reset(mask, BodyState(**spread))
         self.control.forget(mask)
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
 
-    def _place(self, start: StartState, rows: torch.Tensor) -> None:
+    def _place(self, start: BodyState, rows: torch.Tensor) -> None:
         """Move start states from flat ground at the origin to a place on the terrain, no sole below the surface."""
         terrain = self.engine.terrain
         if terrain is None:

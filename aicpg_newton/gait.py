@@ -8,6 +8,7 @@ import torch
 
 from aicpg_newton import rotations
 from aicpg_newton.cpg import CONTROL_DT, PatternNetwork, advance_phase, rhythm_window
+from aicpg_newton.engines.interface import BodyState
 from aicpg_newton.kinematics import sole_heights
 
 
@@ -18,18 +19,6 @@ class GaitPose:
     root_position: torch.Tensor
     root_rotation: torch.Tensor
     joint_position: torch.Tensor
-
-
-@dataclass
-class StartState:
-    """How robots start on flat ground at the origin; tensors as in the engines' ``RobotState``, shape [rows, ...]."""
-
-    root_position: torch.Tensor
-    root_rotation: torch.Tensor
-    root_linear_velocity: torch.Tensor
-    root_angular_velocity: torch.Tensor
-    joint_position: torch.Tensor
-    joint_velocity: torch.Tensor
 
 
 def gait_pose(pattern: PatternNetwork, phase: torch.Tensor, frequency: torch.Tensor) -> GaitPose:
@@ -53,8 +42,8 @@ def gait_pose(pattern: PatternNetwork, phase: torch.Tensor, frequency: torch.Ten
 
 def gait_start(
     pattern: PatternNetwork, phase: torch.Tensor, frequency: torch.Tensor, forward_speed: torch.Tensor
-) -> StartState:
-    """The gait's pose at a phase, with its velocities over the coming control step and a forward speed.
+) -> BodyState:
+    """Start states on flat ground: the gait's pose, its velocities over the coming control step and a forward speed.
 
     Args:
         pattern: The pattern network S.
@@ -68,7 +57,7 @@ def gait_start(
     rotation, turned = pose.root_rotation
     velocity = (soon - position) / CONTROL_DT
     velocity[:, 0] += forward_speed
-    return StartState(
+    return BodyState(
         root_position=position,
         root_rotation=rotation,
         root_linear_velocity=velocity,

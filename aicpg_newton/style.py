@@ -9,6 +9,7 @@ import torch
 
 from aicpg_newton import rotations
 from aicpg_newton.cpg import CONTROL_DT, PatternNetwork
+from aicpg_newton.engines.interface import BodyState
 from aicpg_newton.gait import gait_pose
 from aicpg_newton.humanoid import FOOT_NAMES, MIRROR_AXIAL, MIRROR_SIDES, MIRROR_VECTOR, NUM_JOINTS, mirror_blocks
 from aicpg_newton.kinematics import forward_kinematics
@@ -34,16 +35,7 @@ HAND_CENTRE = (0.0, 0.0, -0.259)
 _KEY_LINKS = ("right_lower_arm", "left_lower_arm", *FOOT_NAMES)
 
 
-def style_state(
-    *,
-    root_position: torch.Tensor,
-    root_rotation: torch.Tensor,
-    root_linear_velocity: torch.Tensor,
-    root_angular_velocity: torch.Tensor,
-    joint_position: torch.Tensor,
-    joint_velocity: torch.Tensor,
-    ground_height: torch.Tensor,
-) -> torch.Tensor:
+def style_state(state: BodyState, ground_height: torch.Tensor) -> torch.Tensor:
     """One instant as the discriminator sees it (Peng et al. 2021, Sec. 5.2; this humanoid in Isaac Gym).
 
     Vectors are in the heading frame: the world turned about the vertical by the pelvis's yaw. The pelvis rotation is
@@ -51,31 +43,26 @@ def style_state(
     each is a single hinge that never comes near a full turn.
 
     Args:
-        root_position: Origin of the pelvis frame in the world [m], shape [..., 3].
-        root_rotation: Pelvis rotation, unit quaternion (x, y, z, w), shape [..., 4].
-        root_linear_velocity: Velocity of that origin in the world [m/s], shape [..., 3].
-        root_angular_velocity: Angular velocity of the pelvis in the world [rad/s], shape [..., 3].
-        joint_position: Joint angles [rad], shape [..., 28].
-        joint_velocity: Joint velocities [rad/s], shape [..., 28].
+        state: Poses and velocities, of any batch shape.
         ground_height: Height of the ground below the pelvis in the world [m], shape [...].
 
     Returns:
         Style states, shape [..., 81], in the order of :data:`BLOCKS`.
     """
-    to_heading = rotations.about_z(-rotations.yaw(root_rotation))
-    tilt = rotations.multiply(to_heading, root_rotation)
+    to_heading = rotations.about_z(-rotations.yaw(state.root_rotation))
+    tilt = rotations.multiply(to_heading, state.root_rotation)
     forward, _, up = torch.eye(3, dtype=tilt.dtype, device=tilt.device).expand(*tilt.shape[:-1], 3, 3).unbind(-2)
-    origin = torch.zeros_like(root_position)
-    links, link_rotations = forward_kinematics(origin, tilt, joint_position, _KEY_LINKS)
+    origin = torch.zeros_like(state.root_position)
+    links, link_rotations = forward_kinematics(origin, tilt, state.joint_position, _KEY_LINKS)
     hand = links.new_tensor(HAND_CENTRE).expand_as(links[..., :2, :])
     blocks = (
-        (root_position[..., 2] - ground_height).unsqueeze(-1),
+        (state.root_position[..., 2] - ground_height).unsqueeze(-1),
         rotations.rotate(tilt, forward),
         rotations.rotate(tilt, up),
-        rotations.rotate(to_heading, root_linear_velocity),
-        rotations.rotate(to_heading, root_angular_velocity),
-        joint_position,
-        joint_velocity,
+        rotations.rotate(to_heading, state.root_linear_velocity),
+        rotations.rotate(to_heading, state.root_angular_velocity),
+        state.joint_position,
+        state.joint_velocity,
         (links[..., :2, :] + rotations.rotate(link_rotations[..., :2, :], hand)).flatten(-2),
         links[..., 2:, :].flatten(-2),
     )
@@ -132,12 +119,12 @@ def reference_motion(pattern: PatternNetwork, gait: str, *, phases: int = 512) -
 
     rotation = poses.root_rotation
     progress = rotation.new_tensor((speed, 0.0, 0.0))
-    return style_state(
+    middle = BodyState(
         root_position=poses.root_position[:, :, 1],
         root_rotation=rotation[:, :, 1],
         root_linear_velocity=rate(poses.root_position) + progress,
         root_angular_velocity=rotations.angular_velocity(rotation[:, :, 0], rotation[:, :, 2], CONTROL_DT),
         joint_position=poses.joint_position[:, :, 1],
         joint_velocity=rate(poses.joint_position),
-        ground_height=poses.root_position.new_zeros(phases, 2),
     )
+    return style_state(middle, ground_height=poses.root_position.new_zeros(phases, 2))

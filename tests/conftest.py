@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from aicpg_newton.cpg import PatternNetwork
-from aicpg_newton.engines import RobotState
+from aicpg_newton.engines import BodyState, RobotState
 from aicpg_newton.humanoid import MJCF_PATH, NUM_JOINTS
 from aicpg_newton.terrain import Terrain
 
@@ -46,11 +46,11 @@ class PuppetEngine:
         obeyed = {"joint_position": target.clone(), "joint_velocity": target_velocity.clone()}
         self.state = replace(self.state, **{**obeyed, **self.overrides})
 
-    def reset(self, mask, **state: torch.Tensor) -> None:
+    def reset(self, mask: torch.Tensor, start: BodyState) -> None:
         """Take the masked rows."""
-        self.last_reset = {"mask": mask.clone(), **state}
+        self.last_reset = {"mask": mask.clone(), **vars(start)}
         rows = mask.unsqueeze(1)
-        changed = {name: torch.where(rows, value, getattr(self.state, name)) for name, value in state.items()}
+        changed = {name: torch.where(rows, value, getattr(self.state, name)) for name, value in vars(start).items()}
         self.state = replace(self.state, **changed)
 
     def overflows(self) -> int:

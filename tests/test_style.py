@@ -8,12 +8,13 @@ import torch
 
 from aicpg_newton import humanoid, rotations, style
 from aicpg_newton.cpg import CONTROL_DT, PatternNetwork
+from aicpg_newton.engines import BodyState
 from aicpg_newton.errors import UserError
 from aicpg_newton.kinematics import forward_kinematics
 
 
 def random_motion(seed: int = 0, *shape: int) -> dict[str, torch.Tensor]:
-    """Arguments of ``style_state`` drawn at random, batch of the given shape, else 3."""
+    """A body state and its ground height drawn at random, batch of the given shape, else 3."""
     generator = torch.Generator().manual_seed(seed)
     shape = shape or (3,)
 
@@ -32,6 +33,13 @@ def random_motion(seed: int = 0, *shape: int) -> dict[str, torch.Tensor]:
     }
 
 
+def look(motion: dict[str, torch.Tensor]) -> torch.Tensor:
+    """The style state of such a motion."""
+    rest = dict(motion)
+    ground_height = rest.pop("ground_height")
+    return style.style_state(BodyState(**rest), ground_height)
+
+
 def by_block(state: torch.Tensor) -> dict[str, torch.Tensor]:
     """A style state's blocks by name."""
     names, sizes = zip(*style.BLOCKS, strict=True)
@@ -42,10 +50,10 @@ def test_size_and_batch():
     """81 numbers, for a batch of any shape."""
     assert style.STYLE_SIZE == 81
     motion = random_motion(0, 4, 2)
-    state = style.style_state(**motion)
+    state = look(motion)
     assert state.shape == (4, 2, 81)
     rows = {name: value.flatten(0, 1) for name, value in motion.items()}
-    assert torch.allclose(style.style_state(**rows), state.flatten(0, 1), atol=1e-6)
+    assert torch.allclose(look(rows), state.flatten(0, 1), atol=1e-6)
 
 
 def test_position_and_yaw_in_the_world_do_not_matter():
@@ -58,13 +66,13 @@ def test_position_and_yaw_in_the_world_do_not_matter():
     moved["root_position"] = moved["root_position"] + torch.tensor([5.0, -3.0, 0.7])
     moved["root_rotation"] = rotations.multiply(turn, motion["root_rotation"])
     moved["ground_height"] = motion["ground_height"] + 0.7
-    assert torch.allclose(style.style_state(**moved), style.style_state(**motion), atol=1e-5)
+    assert torch.allclose(look(moved), look(motion), atol=1e-5)
 
 
 def test_everything_else_matters():
     """Height, ground, roll, pitch, each component of each velocity and each joint change the state."""
     motion = random_motion(1, 1)
-    before = style.style_state(**motion)
+    before = look(motion)
     changed = [
         {**motion, "root_position": motion["root_position"] + torch.tensor([0.0, 0.0, 0.01])},
         {**motion, "ground_height": motion["ground_height"] + 0.01},
@@ -76,7 +84,7 @@ def test_everything_else_matters():
         changed += [{**motion, name: motion[name] + step} for step in 0.01 * torch.eye(motion[name].shape[-1])]
     assert len(changed) == 2 + 2 + 3 + 3 + 28 + 28
     for other in changed:
-        assert (style.style_state(**other) - before).abs().max() > 5e-3
+        assert (look(other) - before).abs().max() > 5e-3
 
 
 def test_frames_of_the_blocks():
@@ -88,7 +96,7 @@ def test_frames_of_the_blocks():
     motion["ground_height"] = torch.tensor([0.3])
     motion["root_linear_velocity"] = torch.tensor([[0.0, 2.0, 0.5]])
     motion["root_angular_velocity"] = torch.tensor([[-1.0, 0.0, 3.0]])
-    seen = {name: block[0].tolist() for name, block in by_block(style.style_state(**motion)).items()}
+    seen = {name: block[0].tolist() for name, block in by_block(look(motion)).items()}
     assert seen["root_height"] == pytest.approx([0.9])
     sine, cosine = math.sin(0.3), math.cos(0.3)
     assert seen["root_rotation"] == pytest.approx([cosine, 0.0, -sine, sine, 0.0, cosine], abs=1e-6)
@@ -113,7 +121,7 @@ def test_hands_and_feet():
         centre = torch.tensor([[float(word) for word in sphere.attrib["pos"].split()]])
         origin[:, side] += rotations.rotate(turned[:, side], centre)
     relative = (origin - motion["root_position"].unsqueeze(1)).flatten()
-    seen = by_block(style.style_state(**motion))
+    seen = by_block(look(motion))
     assert torch.allclose(torch.cat((seen["hand_position"][0], seen["foot_position"][0])), relative, atol=1e-5)
 
 
@@ -130,8 +138,8 @@ def test_mirror_image_of_the_state_is_the_state_of_the_mirror_image():
         "joint_velocity": humanoid.mirror_joints(motion["joint_velocity"]),
         "ground_height": motion["ground_height"],
     }
-    state = style.style_state(**motion)
-    assert torch.allclose(style.mirror(state), style.style_state(**image), atol=1e-5)
+    state = look(motion)
+    assert torch.allclose(style.mirror(state), look(image), atol=1e-5)
     assert not torch.allclose(style.mirror(state), state, atol=0.1)
     assert torch.equal(style.mirror(style.mirror(state)), state)
 

@@ -8,12 +8,12 @@ from typing import Protocol
 import torch
 
 from aicpg_newton.device import resolve_device
-from aicpg_newton.engines.interface import Engine, Physics, RobotState
+from aicpg_newton.engines.interface import BodyState, Engine, Physics, RobotState
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import Motors
 from aicpg_newton.terrain import Ground, Terrain
 
-__all__ = ["ENGINES", "Engine", "Physics", "RobotState", "make_engine"]
+__all__ = ["ENGINES", "BodyState", "Engine", "Physics", "RobotState", "make_engine"]
 
 
 class _EngineClass(Protocol):

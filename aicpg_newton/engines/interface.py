@@ -50,21 +50,30 @@ class Physics:
 
 
 @dataclass
-class RobotState:
-    """All humanoids after the last control step. World frame unless said otherwise; feet are ordered right, left."""
+class BodyState:
+    """Pose and velocities of humanoids, all that their motion goes on from; world frame."""
 
     root_position: torch.Tensor
-    """Origin of the pelvis frame [m], shape [num_envs, 3]."""
+    """Origin of the pelvis frame [m], shape [..., 3]."""
     root_rotation: torch.Tensor
-    """Pelvis rotation, unit quaternion (x, y, z, w), shape [num_envs, 4]."""
+    """Pelvis rotation, unit quaternion (x, y, z, w), shape [..., 4]."""
     root_linear_velocity: torch.Tensor
-    """Velocity of the pelvis frame's origin [m/s], shape [num_envs, 3]."""
+    """Velocity of the pelvis frame's origin [m/s], shape [..., 3]."""
     root_angular_velocity: torch.Tensor
-    """Angular velocity of the pelvis [rad/s], shape [num_envs, 3]."""
+    """Angular velocity of the pelvis [rad/s], shape [..., 3]."""
     joint_position: torch.Tensor
-    """Joint angles [rad], shape [num_envs, 28]."""
+    """Joint angles [rad], shape [..., 28]."""
     joint_velocity: torch.Tensor
-    """Joint velocities [rad/s], shape [num_envs, 28]."""
+    """Joint velocities [rad/s], shape [..., 28]."""
+
+
+@dataclass
+class RobotState(BodyState):
+    """All humanoids after the last control step, a row each: how they move and what was measured on them.
+
+    World frame; feet are ordered right, left.
+    """
+
     joint_torque: torch.Tensor
     """Motor torque of the last physics step [N m], CPG and reflex together, limited; shape [num_envs, 28]."""
     head_position: torch.Tensor
@@ -113,27 +122,12 @@ class Engine(Protocol):
         """
         ...
 
-    def reset(
-        self,
-        mask: torch.Tensor,
-        *,
-        root_position: torch.Tensor,
-        root_rotation: torch.Tensor,
-        root_linear_velocity: torch.Tensor,
-        root_angular_velocity: torch.Tensor,
-        joint_position: torch.Tensor,
-        joint_velocity: torch.Tensor,
-    ) -> None:
+    def reset(self, mask: torch.Tensor, start: BodyState) -> None:
         """Put the masked environments into new states; the others are not touched.
 
         Args:
             mask: Environments to reset, bool, shape [num_envs].
-            root_position: As in :class:`RobotState`, all environments' rows; those outside the mask are ignored.
-            root_rotation: As in :class:`RobotState`.
-            root_linear_velocity: As in :class:`RobotState`.
-            root_angular_velocity: As in :class:`RobotState`.
-            joint_position: As in :class:`RobotState`.
-            joint_velocity: As in :class:`RobotState`.
+            start: The new states, all environments' rows; those outside the mask are ignored.
         """
         ...
 

@@ -18,7 +18,7 @@ import torch
 from mujoco.rollout import Rollout
 
 from aicpg_newton import rotations
-from aicpg_newton.engines.interface import Physics, RobotState
+from aicpg_newton.engines.interface import BodyState, Physics, RobotState
 from aicpg_newton.engines.model import ROOT_DOFS, build, make_solver
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import FOOT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors, joint_index
@@ -194,27 +194,18 @@ class MujocoEngine:
         self._read_sensors()
         self.state = self._read()
 
-    def reset(
-        self,
-        mask: torch.Tensor,
-        *,
-        root_position: torch.Tensor,
-        root_rotation: torch.Tensor,
-        root_linear_velocity: torch.Tensor,
-        root_angular_velocity: torch.Tensor,
-        joint_position: torch.Tensor,
-        joint_velocity: torch.Tensor,
-    ) -> None:
+    def reset(self, mask: torch.Tensor, start: BodyState) -> None:
         """See :meth:`Engine.reset`. MuJoCo's free joint carries the angular velocity in the pelvis frame."""
-        local = rotations.rotate(rotations.conjugate(root_rotation.double()), root_angular_velocity.double())
+        to_pelvis = rotations.conjugate(start.root_rotation.double())
+        local = rotations.rotate(to_pelvis, start.root_angular_velocity.double())
         rows = mask.numpy()
         qpos, qvel = np.empty_like(self._qpos), np.empty_like(self._qvel)
-        qpos[:, :3] = root_position.numpy()
-        qpos[:, _XYZW] = root_rotation.numpy()
-        qpos[:, self._coordinates] = joint_position.numpy()
-        qvel[:, :3] = root_linear_velocity.numpy()
+        qpos[:, :3] = start.root_position.numpy()
+        qpos[:, _XYZW] = start.root_rotation.numpy()
+        qpos[:, self._coordinates] = start.joint_position.numpy()
+        qvel[:, :3] = start.root_linear_velocity.numpy()
         qvel[:, 3:ROOT_DOFS] = local.numpy()
-        qvel[:, self._dofs] = joint_velocity.numpy()
+        qvel[:, self._dofs] = start.joint_velocity.numpy()
         self._qpos[rows] = qpos[rows]
         self._qvel[rows] = qvel[rows]
         self._rows[rows, 0] = 0.0  # the clock of an environment that was not finite

@@ -13,7 +13,7 @@ from mujoco_warp import OverflowType
 
 from aicpg_newton import rotations
 from aicpg_newton.engines import kernels
-from aicpg_newton.engines.interface import Physics, RobotState
+from aicpg_newton.engines.interface import BodyState, Physics, RobotState
 from aicpg_newton.engines.model import ROOT_COORDINATES, ROOT_DOFS, build, make_solver
 from aicpg_newton.humanoid import FOOT_NAMES, LINK_NAMES, MJCF_PATH, Motors
 from aicpg_newton.kinematics import HEAD_CENTRE
@@ -223,25 +223,15 @@ class NewtonEngine:
             self._substeps()
         self.state = self._read()
 
-    def reset(
-        self,
-        mask: torch.Tensor,
-        *,
-        root_position: torch.Tensor,
-        root_rotation: torch.Tensor,
-        root_linear_velocity: torch.Tensor,
-        root_angular_velocity: torch.Tensor,
-        joint_position: torch.Tensor,
-        joint_velocity: torch.Tensor,
-    ) -> None:
+    def reset(self, mask: torch.Tensor, start: BodyState) -> None:
         """See :meth:`Engine.reset`. Newton's free joint carries the velocity of the pelvis's centre of mass."""
-        com = rotations.rotate(root_rotation, self._pelvis_com)
-        com_velocity = root_linear_velocity + torch.linalg.cross(root_angular_velocity, com)
+        com = rotations.rotate(start.root_rotation, self._pelvis_com)
+        com_velocity = start.root_linear_velocity + torch.linalg.cross(start.root_angular_velocity, com)
         joint_q, joint_qd = torch.empty_like(self._joint_q), torch.empty_like(self._joint_qd)
-        joint_q[:, :ROOT_COORDINATES] = torch.cat((root_position, root_rotation), dim=1)
-        joint_q[:, self._coordinates] = joint_position
-        joint_qd[:, :ROOT_DOFS] = torch.cat((com_velocity, root_angular_velocity), dim=1)
-        joint_qd[:, self._dofs] = joint_velocity
+        joint_q[:, :ROOT_COORDINATES] = torch.cat((start.root_position, start.root_rotation), dim=1)
+        joint_q[:, self._coordinates] = start.joint_position
+        joint_qd[:, :ROOT_DOFS] = torch.cat((com_velocity, start.root_angular_velocity), dim=1)
+        joint_qd[:, self._dofs] = start.joint_velocity
         rows = mask.unsqueeze(1)
         self._joint_q.copy_(torch.where(rows, joint_q, self._joint_q))
         self._joint_qd.copy_(torch.where(rows, joint_qd, self._joint_qd))

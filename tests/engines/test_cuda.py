@@ -1,5 +1,6 @@
 """The captured graph on a GPU does what plain launches on the CPU do."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -7,24 +8,13 @@ import torch
 
 from aicpg_newton import humanoid
 from aicpg_newton.cpg import PatternNetwork
-from aicpg_newton.engines import Physics, make_engine
+from aicpg_newton.engines import BodyState, Physics, make_engine
 from aicpg_newton.environment import Environment
 from aicpg_newton.learning.training import RunOptions, train
 from aicpg_newton.terrain import Ground
 from tasks import get_task
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-
-
-RESET = {
-    "root_position",
-    "root_rotation",
-    "root_linear_velocity",
-    "root_angular_velocity",
-    "joint_position",
-    "joint_velocity",
-}
-"""What an engine's reset takes."""
 
 
 @pytest.mark.parametrize(
@@ -41,14 +31,12 @@ def test_walking_on_a_gpu_is_walking_on_the_cpu(pattern: PatternNetwork, ground:
     actions = 0.3 * torch.randn(8, 16, 28, generator=torch.Generator().manual_seed(0))
     still = make_engine("mujoco", 16, "cpu", humanoid.motors(), Physics(), ground)
     start = Environment(get_task("flat"), still, pattern)
-    initial = {name: value for name, value in vars(still.state).items() if name in RESET}
+    initial = {field.name: getattr(still.state, field.name) for field in fields(BodyState)}
     for device in ("cpu", "cuda:0"):
         motors = humanoid.motors().to(device)
         engine = make_engine("newton", 16, device, motors, Physics(), ground)
-        engine.reset(
-            torch.ones(16, dtype=torch.bool, device=device),
-            **{name: value.to(device) for name, value in initial.items()},
-        )
+        everyone = torch.ones(16, dtype=torch.bool, device=device)
+        engine.reset(everyone, BodyState(**{name: value.to(device) for name, value in initial.items()}))
         for action in actions:
             target, rate = (value.to(device) for value in pattern.to("cpu").target(start.phase, start.frequency))
             push = torch.tensor([100.0, 50.0, 0.0], device=device).repeat(16, 1)

@@ -11,7 +11,7 @@ import torch
 
 from aicpg_newton import rotations
 from aicpg_newton.cpg import CONTROL_DT, pd_torque
-from aicpg_newton.engines import ENGINES, Engine, Physics, RobotState
+from aicpg_newton.engines import ENGINES, BodyState, Engine, Physics, RobotState
 from aicpg_newton.humanoid import GRAVITY, LINK_NAMES, MJCF_PATH, NUM_JOINTS, TOTAL_MASS, joint_index, motors
 from aicpg_newton.kinematics import forward_kinematics, skeleton
 from aicpg_newton.terrain import Ground, Terrain
@@ -53,7 +53,7 @@ def start(num_envs: int = NUM_ENVS, height: float = STANDING_HEIGHT) -> dict[str
 
 def reset_all(engine: Engine, values: dict[str, torch.Tensor]) -> None:
     """Put every environment into the given state."""
-    engine.reset(torch.ones(engine.num_envs, dtype=torch.bool), **values)
+    engine.reset(torch.ones(engine.num_envs, dtype=torch.bool), BodyState(**values))
 
 
 def centre_of_mass(state: RobotState) -> torch.Tensor:
@@ -174,7 +174,7 @@ def test_reset_touches_only_the_mask(engine: Engine) -> None:
     values["root_rotation"] /= values["root_rotation"].norm(dim=1, keepdim=True)
     for value in values.values():
         value[~mask] = math.nan
-    engine.reset(mask, **values)
+    engine.reset(mask, BodyState(**values))
     after = engine.state
     for name, value in vars(after).items():
         assert torch.equal(value[~mask], kept[name][~mask]), name
@@ -246,7 +246,7 @@ def test_not_finite_stays_in_one_environment(engine: Engine, bad: str) -> None:
         assert not poisoned_end.finite()[1]
     for name, value in vars(poisoned_end).items():
         assert torch.equal(value[others], vars(clean)[name][others]), name
-    engine.reset(~others, **start())
+    engine.reset(~others, BodyState(**start()))
     for _ in range(6):
         engine.step(targets, zeros, zeros)
     assert engine.state.finite().all()

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from aicpg_newton.engines import ENGINES, Physics, RobotState
+from aicpg_newton.engines import ENGINES, BodyState, Physics, RobotState
 from aicpg_newton.humanoid import NUM_JOINTS, motors
 from aicpg_newton.kinematics import skeleton
 from aicpg_newton.terrain import Ground, Terrain
@@ -43,19 +43,19 @@ def test_engines_agree_over_a_quarter_second_of_contact(
     position[:, :2] += 4.0 * torch.rand(NUM_ENVS, 2, generator=torch.Generator().manual_seed(1)) - 2.0
     level = Terrain(ground, torch.zeros(2, 2)) if terrain is None else terrain
     position[:, 2] = -clearance(level, position, upright, pose).amin(dim=1)  # one foot just touches the ground
-    initial = {
-        "root_position": position,
-        "root_rotation": upright,
-        "root_linear_velocity": 0.3 * normal(NUM_ENVS, 3),
-        "root_angular_velocity": 0.3 * normal(NUM_ENVS, 3),
-        "joint_position": pose,
-        "joint_velocity": 0.3 * normal(NUM_ENVS, NUM_JOINTS),
-    }
+    initial = BodyState(
+        root_position=position,
+        root_rotation=upright,
+        root_linear_velocity=0.3 * normal(NUM_ENVS, 3),
+        root_angular_velocity=0.3 * normal(NUM_ENVS, 3),
+        joint_position=pose,
+        joint_velocity=0.3 * normal(NUM_ENVS, NUM_JOINTS),
+    )
     ends: dict[str, RobotState] = {}
     loads: dict[str, torch.Tensor] = {}
     for name, load in ENGINES.items():
         engine = load()(NUM_ENVS, torch.device("cpu"), motors(), Physics(), terrain)
-        engine.reset(torch.ones(NUM_ENVS, dtype=torch.bool), **initial)
+        engine.reset(torch.ones(NUM_ENVS, dtype=torch.bool), initial)
         loads[name] = torch.zeros(NUM_ENVS, 2, 6)
         for _ in range(STEPS):
             engine.step(target, target_velocity, reflex)

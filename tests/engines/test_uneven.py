@@ -9,7 +9,7 @@ import warp as wp
 
 from aicpg_newton import rotations
 from aicpg_newton.cpg import CONTROL_DT
-from aicpg_newton.engines import ENGINES, Engine, Physics, kernels
+from aicpg_newton.engines import ENGINES, BodyState, Engine, Physics, kernels
 from aicpg_newton.humanoid import FOOT_NAMES, GRAVITY, NUM_JOINTS, TOTAL_MASS, joint_index, motors
 from aicpg_newton.kinematics import forward_kinematics, skeleton, sole_heights
 from aicpg_newton.terrain import Ground, Terrain
@@ -45,8 +45,7 @@ def put(
 ) -> None:
     """Put the robots there, all with this velocity of their roots, joints at zero."""
     zeros = torch.zeros(engine.num_envs, NUM_JOINTS)
-    engine.reset(
-        torch.ones(engine.num_envs, dtype=torch.bool),
+    start = BodyState(
         root_position=root_position,
         root_rotation=root_rotation,
         root_linear_velocity=torch.tensor(velocity).repeat(engine.num_envs, 1),
@@ -54,6 +53,7 @@ def put(
         joint_position=zeros,
         joint_velocity=zeros,
     )
+    engine.reset(torch.ones(engine.num_envs, dtype=torch.bool), start)
 
 
 def drive(engine: Engine, steps: int, target: torch.Tensor | None = None) -> None:
