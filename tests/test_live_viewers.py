@@ -3,6 +3,7 @@
 import sys
 import time
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import newton.viewer
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import NUM_JOINTS
 from aicpg_newton.terrain import Ground, Terrain
-from aicpg_newton.viewing import LiveViewer
+from aicpg_newton.viewing import LiveViewer, Slider
 
 
 def pose(robots=1):
@@ -51,6 +52,7 @@ class FakeViewer:
         self.url = "http://nowhere"
         self.times: list[float] = []
         self.closed = False
+        self.pause = 0
 
     def set_model(self, model) -> None:
         """Take the model."""
@@ -70,6 +72,15 @@ class FakeViewer:
     def end_frame(self) -> None:
         """Do nothing."""
 
+    def should_step(self) -> bool:
+        """Go on when the pause is over, which every look at it shortens."""
+        self.pause = max(0, self.pause - 1)
+        return self.pause == 0
+
+    def register_ui_callback(self, callback) -> None:
+        """Take what draws a panel."""
+        self.panel = callback
+
     def is_running(self) -> bool:
         """Stop after 13 frames, as a window that is closed."""
         return len(self.times) < 13
@@ -83,6 +94,7 @@ def fake(monkeypatch) -> None:
     """Let ``viser`` be a fake viewer."""
     monkeypatch.setattr("aicpg_newton.viewing.live.find_spec", lambda module: module)
     monkeypatch.setattr(newton.viewer, "ViewerViser", FakeViewer)
+    monkeypatch.setattr(newton.viewer, "ViewerGL", FakeViewer)
 
 
 def test_live_viewer_keeps_real_time(monkeypatch):
@@ -102,6 +114,33 @@ def test_live_viewer_keeps_real_time(monkeypatch):
         assert time.perf_counter() - began < 0.1
         assert shown.model.body_count == 2 * 13 + 1 and len(shown.times) == 14
     assert shown.closed
+
+
+def test_a_paused_viewer_holds_the_simulation(monkeypatch):
+    """The same step is shown again until the pause is over, and then once each."""
+    fake(monkeypatch)
+    with LiveViewer("gl", 1) as viewer:
+        viewer._viewer.pause = 4
+        viewer.show(*pose(), time=1.0)
+        viewer.show(*pose(), time=2.0)
+        assert viewer._viewer.times == [1.0, 1.0, 1.0, 1.0, 2.0]
+
+
+def test_a_slider_in_a_window(monkeypatch):
+    """It is drawn with its value and ends, and moves when the panel says so, not before."""
+    fake(monkeypatch)
+    slider = Slider("f [Hz]", 0.9, 0.7, 1.5)
+    drawn = []
+
+    def slider_float(*arguments) -> tuple[bool, float]:
+        drawn.append(arguments)
+        return len(drawn) == 2, 1.2
+
+    with LiveViewer("gl", 1, slider=slider) as viewer:
+        for moved in (False, True, True):
+            viewer._viewer.panel(SimpleNamespace(slider_float=slider_float))
+            assert slider.moved == moved
+    assert [arguments[:4] for arguments in drawn] == [("f [Hz]", value, 0.7, 1.5) for value in (0.9, 0.9, 1.2)]
 
 
 def test_display_that_cannot_be_opened(monkeypatch):
@@ -144,12 +183,24 @@ def test_no_viewer_shows_nothing():
 
 
 @pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed")
-def test_viser_opens_and_closes():
-    """The real browser viewer takes poses."""
-    with LiveViewer("viser", 2) as viewer:
+def test_viser_opens_and_closes(monkeypatch):
+    """The real browser viewer takes poses, and its slider moves ours."""
+    import viser
+
+    handles, add_slider = [], viser.GuiApi.add_slider
+    monkeypatch.setattr(viser.GuiApi, "add_slider", lambda *a, **b: handles.append(add_slider(*a, **b)) or handles[-1])
+    slider = Slider("f [Hz]", 0.9, 0.7, 1.5)
+    with LiveViewer("viser", 2, slider=slider) as viewer:
         for step in range(3):
             viewer.show(*pose(2), time=step / 60)
         assert viewer.is_running()
+        (handle,) = handles
+        assert (handle.value, handle.min, handle.max) == (0.9, 0.7, 1.5)
+        handle.value = 1.2
+        began = time.perf_counter()
+        while not slider.moved and time.perf_counter() - began < 5.0:
+            time.sleep(0.01)
+    assert (slider.moved, slider.value) == (True, 1.2)
 
 
 @pytest.mark.skipif(find_spec("pxr") is None, reason="usd-core is not installed")

@@ -24,7 +24,7 @@ from aicpg_newton.learning.runner import Runner
 from aicpg_newton.methods import condition, get_method, on_task
 from aicpg_newton.task import Task, task_from_dict
 from aicpg_newton.terrain import Ground, Terrain
-from aicpg_newton.viewing import FilmstripRow, LiveViewer, Recorder, save_filmstrip
+from aicpg_newton.viewing import LIVE_KINDS, FilmstripRow, LiveViewer, Recorder, Slider, save_filmstrip
 from aicpg_newton.viewing.filmstrip import POSES
 from aicpg_newton.viewing.output import writable_path
 
@@ -43,12 +43,12 @@ class PlayOptions:
     """Stride frequencies f [Hz], 0.9, 1.1 and 1.3 when not given; the environments are shared out evenly among them."""
     num_envs: int = 12
     """Number of environments."""
-    duration: float = 10.0
-    """Simulated time [s]."""
+    duration: float | None = None
+    """Simulated time [s]; when not given 10, and in a live viewer an hour, which Ctrl-C ends."""
     agent: Literal["policy", "zero", "random", "mocap"] = "policy"
     """policy: the trained network; zero: the CPG alone; random: noise on it; mocap: the gait on a plane, no physics."""
     viewer: Literal["viser", "gl", "rerun", "usd", "none"] = "none"
-    """Live viewer; usd writes play.usd."""
+    """Live viewer; viser and gl have a slider for the stride frequency of all robots; usd writes play.usd."""
     record: Path | None = None
     """Write an mp4 of the first environment."""
     filmstrip: Path | None = None
@@ -63,6 +63,15 @@ class PlayOptions:
 
 _FREQUENCIES = (0.9, 1.1, 1.3)
 _TERRAIN_SEED = 1000
+
+_DURATION, _LIVE_DURATION = 10.0, 3600.0
+"""Simulated time when none is given [s]."""
+
+_TURN_RATE = 0.25
+"""How fast the stride frequency follows the slider [Hz/s]; at 0.5 robots fell when it was turned from 1.35 to 0.85."""
+
+_TURN_MARGIN = 0.1
+"""How far the slider goes beyond the frequencies of the training [Hz]."""
 
 
 def play(options: PlayOptions, task: Task) -> Tally:
@@ -91,7 +100,7 @@ def play(options: PlayOptions, task: Task) -> Tally:
     mocap = options.agent == "mocap"
     frequency, title = _conditions(options, None if mocap else task)
     tally = Tally(frequency.to(device), follows_frequency=not title)
-    terrain = None
+    terrain = slider = None
     if mocap:
         if task.ground.uneven:
             print("The imitated gait is played back without physics, so it walks on a plane.")
@@ -102,7 +111,10 @@ def play(options: PlayOptions, task: Task) -> Tally:
         environment = Environment(task, engine, pattern, seed=options.seed)
         environment.restart(tally.frequency)
         frames = physical_frames(environment, _agent(options, environment, trained), steps, tally)
-    rows = _show(options, frames, tally, terrain, title)
+        if tally.follows_frequency:
+            slider = _slider(environment)
+            frames = _turned(frames, environment, slider)
+    rows = _show(options, frames, tally, terrain, title, slider)
     if options.filmstrip is not None:
         missing = [label for label, row in rows.items() if row is None]
         complete = [row for row in rows.values() if row is not None]
@@ -115,19 +127,45 @@ def play(options: PlayOptions, task: Task) -> Tally:
             print(f"Filmstrip: {options.filmstrip}")
     if options.record is not None:
         print(f"Recording: {options.record}")
+    if slider is not None and slider.moved:
+        print("The stride frequency was turned by hand; f in the table is what it was at the start.")
     print(tally.table())
     return tally
+
+
+def _slider(environment: Environment) -> Slider:
+    """A slider that stands at the first robot's frequency."""
+    trained = environment.task.frequencies
+    return Slider(
+        label="f [Hz]",
+        value=round(float(environment.frequency[0]), 2),
+        minimum=round(trained.minimum - _TURN_MARGIN, 2),
+        maximum=round(trained.maximum + _TURN_MARGIN, 2),
+    )
+
+
+def _turned(frames: Iterator[Frame], environment: Environment, slider: Slider) -> Iterator[Frame]:
+    """The frames of robots whose frequency goes where the slider stands, once somebody has moved it."""
+    most = _TURN_RATE * CONTROL_DT
+    for frame in frames:
+        yield frame
+        if slider.moved:
+            environment.frequency = environment.frequency + (slider.value - environment.frequency).clamp(-most, most)
 
 
 def _check(options: PlayOptions) -> int:
     """Number of control steps, once all options make sense."""
     if not all(math.isfinite(f) and f > 0 for f in options.frequency):
         raise UserError(f"--frequency is {options.frequency}; give positive numbers in Hz")
-    if not (math.isfinite(options.duration) and options.duration >= CONTROL_DT):
-        raise UserError(f"--duration is {options.duration}; give a positive number of seconds")
+    duration = options.duration
+    if duration is None:
+        watched = options.viewer in LIVE_KINDS and options.record is None and options.filmstrip is None
+        duration = _LIVE_DURATION if watched else _DURATION
+    if not (math.isfinite(duration) and duration >= CONTROL_DT):
+        raise UserError(f"--duration is {duration}; give a positive number of seconds")
     if options.filmstrip is not None:
         writable_path(options.filmstrip, ".png")
-    return round(options.duration * CONTROL_RATE)
+    return round(duration * CONTROL_RATE)
 
 
 def _ground(options: PlayOptions, task: Task) -> Ground:
@@ -188,7 +226,12 @@ def load_policy(environment: Environment, trained: dict) -> Agent:
 
 
 def _show(
-    options: PlayOptions, frames: Iterator[Frame], tally: Tally, terrain: Terrain | None, title: str
+    options: PlayOptions,
+    frames: Iterator[Frame],
+    tally: Tally,
+    terrain: Terrain | None,
+    title: str,
+    slider: Slider | None,
 ) -> dict[str, FilmstripRow | None]:
     """Run through the frames, showing and recording them; returns a filmstrip row per frequency.
 
@@ -198,6 +241,7 @@ def _show(
         tally: What they count in.
         terrain: Shape of the ground; None for a plane.
         title: What is shown in place of a frequency, if any.
+        slider: What a live viewer lets its user change.
     """
     first = {
         title or f"{f:.2f} Hz": int((tally.frequency == f).nonzero()[0]) for f in tally.frequency.unique().tolist()
@@ -206,15 +250,17 @@ def _show(
     kept: dict[str, deque[tuple[int, float, Frame]]] = {}
     strips: dict[str, FilmstripRow | None] = dict.fromkeys(first)
     with ExitStack() as stack:
-        viewer = stack.enter_context(LiveViewer(options.viewer, options.num_envs, Path("play.usd"), terrain))
+        viewer = stack.enter_context(LiveViewer(options.viewer, options.num_envs, Path("play.usd"), terrain, slider))
         recorder = None if options.record is None else stack.enter_context(Recorder(options.record, terrain=terrain))
+        if options.viewer in LIVE_KINDS:
+            stack.enter_context(contextlib.suppress(KeyboardInterrupt))
         for step, frame in enumerate(frames, start=1):
             if not viewer.is_running():
                 break
             time = step * CONTROL_DT
             viewer.show(frame.root_position, frame.root_rotation, frame.joint_position, time)
             if recorder is not None:
-                name = title or f"f = {float(tally.frequency[0]):.2f} Hz"
+                name = title or f"f = {float(frame.frequency[0]):.2f} Hz"
                 caption = f"{name}   {_speed(tally, 0):.2f} m/s   t = {time:.1f} s"
                 recorder.add(frame.root_position[:1], frame.root_rotation[:1], frame.joint_position[:1], caption)
             if options.filmstrip is None:

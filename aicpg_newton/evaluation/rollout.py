@@ -33,6 +33,8 @@ class Frame:
     """Joint angles [rad], shape [num_envs, 28]."""
     phase: torch.Tensor
     """Phase of the rhythm generator [rad], shape [num_envs]."""
+    frequency: torch.Tensor
+    """Stride frequency of the step [Hz], shape [num_envs]."""
     episode: torch.Tensor
     """Number of episodes the environment has ended, shape [num_envs]."""
 
@@ -102,6 +104,7 @@ def physical_frames(environment: Environment, agent: Agent, steps: int, tally: T
                 root_rotation=outcome.state.root_rotation,
                 joint_position=outcome.state.joint_position,
                 phase=outcome.phase,
+                frequency=environment.frequency,
                 episode=episode.clone(),
             )
             episode += dones
@@ -124,4 +127,4 @@ def kinematic_frames(pattern: PatternNetwork, frequency: torch.Tensor, steps: in
         pose = gait_pose(pattern, phase, frequency)
         pose.root_position[:, 0] += speed * step * CONTROL_DT
         tally.add(speed, never)
-        yield Frame(pose.root_position, pose.root_rotation, pose.joint_position, phase, never.long())
+        yield Frame(pose.root_position, pose.root_rotation, pose.joint_position, phase, frequency, never.long())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,32 @@ _PACKAGES = {
 }
 """Modules that each kind imports, and what pip calls their packages."""
 
+_PAUSE = 1.0 / 30.0
+"""Time between two looks at a paused viewer's panel [s]."""
+
+LIVE_KINDS = ("viser", "gl", "rerun")
+"""Those that somebody watches while the simulation runs."""
+
+
+@dataclass
+class Slider:
+    """A number that whoever watches may change, in ``viser`` and ``gl``."""
+
+    label: str
+    """What it says beside it."""
+    value: float
+    """Where it stands."""
+    minimum: float
+    """Its lower end."""
+    maximum: float
+    """Its upper end."""
+    moved: bool = False
+    """Whether anybody has moved it."""
+
+    def move(self, value: float) -> None:
+        """Put it there."""
+        self.value, self.moved = value, True
+
 
 class LiveViewer:
     """Shows poses while they are computed, one second of simulation in one second of time.
@@ -42,13 +69,19 @@ class LiveViewer:
         num_robots: Number of humanoids shown.
         path: File that ``usd`` writes, ending in ``.usd``; unused by the others.
         terrain: Shape of the ground; None for a plane.
+        slider: A number to put into the viewer's panel; others ask it for its value.
 
     Raises:
         UserError: The kind is unknown, its package is not installed, there is no display or no path.
     """
 
     def __init__(
-        self, kind: str, num_robots: int = 1, path: Path | str | None = None, terrain: Terrain | None = None
+        self,
+        kind: str,
+        num_robots: int = 1,
+        path: Path | str | None = None,
+        terrain: Terrain | None = None,
+        slider: Slider | None = None,
     ) -> None:
         if kind not in VIEWER_KINDS:
             raise UserError(f"there is no viewer '{kind}'; choose one of {', '.join(VIEWER_KINDS)}")
@@ -62,7 +95,7 @@ class LiveViewer:
             if path is None:
                 raise UserError("the usd viewer writes a file; give its path, ending in .usd")
             file = writable_path(path, ".usd")
-        self._paced = kind not in ("usd", "none")
+        self._paced = kind in LIVE_KINDS
         self._viewer: Any = None
         self._started: tuple[float, float] | None = None
         if kind == "none":
@@ -73,11 +106,13 @@ class LiveViewer:
         # From the front right, slightly above; the distance lets all lanes fit.
         distance = 3.2 + 1.0 * (num_robots if terrain is None else 1)
         self._viewer.set_camera(wp.vec3(0.55 * distance, -0.83 * distance, 1.6), pitch=-10.0, yaw=123.0)
+        if slider is not None:
+            _add_slider(kind, self._viewer, slider)
 
     def show(
         self, root_position: torch.Tensor, root_rotation: torch.Tensor, joint_position: torch.Tensor, time: float
     ) -> None:
-        """Show one control step, and wait until its time has come.
+        """Show one control step, and wait until its time has come, or for as long as the viewer is paused.
 
         Args:
             root_position: Pelvis positions [m], shape [n, 3] with n >= num_robots; more are ignored.
@@ -88,11 +123,17 @@ class LiveViewer:
         if self._viewer is None:
             return
         self._stage.pose(root_position, root_rotation, joint_position)
+        self._draw(time)
+        if self._paced:
+            self._wait(time)
+        while not self._viewer.should_step() and self._viewer.is_running():
+            clock.sleep(_PAUSE)
+            self._draw(time)
+
+    def _draw(self, time: float) -> None:
         self._viewer.begin_frame(time)
         self._viewer.log_state(self._stage.state)
         self._viewer.end_frame()
-        if self._paced:
-            self._wait(time)
 
     def _wait(self, time: float) -> None:
         now = clock.perf_counter()
@@ -119,6 +160,24 @@ class LiveViewer:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _add_slider(kind: str, viewer: Any, slider: Slider) -> None:
+    """Put a slider into the panel of a viewer that has one."""
+    if kind == "viser":
+        with viewer.server.gui.add_folder("Controller", order=-1.0):
+            handle = viewer.server.gui.add_slider(
+                slider.label, slider.minimum, slider.maximum, step=0.01, initial_value=slider.value
+            )
+        handle.on_update(lambda event: slider.move(float(event.target.value)))
+    elif kind == "gl":
+
+        def draw(panel: Any) -> None:
+            changed, value = panel.slider_float(slider.label, slider.value, slider.minimum, slider.maximum, "%.2f")
+            if changed:
+                slider.move(value)
+
+        viewer.register_ui_callback(draw)
 
 
 def _open(kind: str, path: Path | None) -> Any:

@@ -11,11 +11,11 @@ from PIL import Image
 
 from aicpg_newton import checkpoint
 from aicpg_newton.cpg import PatternNetwork
-from aicpg_newton.environment import engine_for
+from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import playing
 from aicpg_newton.evaluation.playing import PlayOptions, play
-from aicpg_newton.evaluation.rollout import Tally, kinematic_frames
+from aicpg_newton.evaluation.rollout import Tally, kinematic_frames, physical_frames
 from aicpg_newton.learning.training import RunOptions, train
 from aicpg_newton.methods import with_method
 from aicpg_newton.task import Task
@@ -102,6 +102,62 @@ def test_agents_without_a_checkpoint(agent, capsys: pytest.CaptureFixture):
     assert tally.steps == 120
     assert tally.falls.sum() >= 1
     assert "falls" in capsys.readouterr().out
+
+
+def test_the_slider_turns_the_frequency(puppet, pattern: PatternNetwork):
+    """Of all robots, by a quarter of a hertz a second, from when it is moved until they are there."""
+    task = get_task("flat")
+    environment = Environment(task, puppet(2), pattern)
+    environment.restart(torch.tensor([0.9, 1.3]))
+    slider = playing._slider(environment)
+    assert (slider.value, slider.minimum, slider.maximum) == (0.9, 0.7, 1.5)
+    tally = Tally(environment.frequency)
+    frames = physical_frames(environment, lambda observed: observed.new_zeros(len(observed), 28), 130, tally)
+    seen = []
+    for step, frame in enumerate(playing._turned(frames, environment, slider)):
+        seen.append(frame.frequency.tolist())
+        if step == 9:
+            slider.move(1.25)
+    assert seen[:10] == [pytest.approx([0.9, 1.3])] * 10
+    assert seen[10] == pytest.approx([0.9 + 0.25 / 60, 1.3 - 0.25 / 60])
+    assert seen[69] == pytest.approx([1.15, 1.25], abs=1e-4)
+    assert seen[-1] == pytest.approx([1.25, 1.25])
+    assert tally.frequency.tolist() == pytest.approx([0.9, 1.3])
+
+
+def test_a_live_viewer_runs_until_it_is_interrupted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
+    """For an hour if nothing else is said; Ctrl-C ends it with the table, and a hint if the slider was moved."""
+
+    class Watcher:
+        """Somebody who moves the slider at once and presses Ctrl-C in the third step."""
+
+        def __init__(self, *arguments) -> None:
+            self.slider, self.steps = arguments[-1], 0
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_) -> None:
+            pass
+
+        def is_running(self) -> bool:
+            return True
+
+        def show(self, *_) -> None:
+            self.slider.move(1.0)
+            self.steps += 1
+            if self.steps == 3:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(playing, "LiveViewer", Watcher)
+    options = PlayOptions(agent="zero", num_envs=3, viewer="viser", device="cpu")
+    assert playing._check(options) == 3600 * 60
+    assert (
+        playing._check(replace(options, viewer="none")) == playing._check(replace(options, record=Path("a.mp4"))) == 600
+    )
+    assert play(options, get_task("flat")).steps == 3
+    printed = capsys.readouterr().out
+    assert "turned by hand" in printed and "speed [m/s]" in printed
 
 
 def test_a_checkpoint_plays_with_its_own_task(tmp_path: Path, capsys: pytest.CaptureFixture):
