@@ -6,6 +6,7 @@ not done again: the same command continues where time ran out.
 
 from __future__ import annotations
 
+import shutil
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from aicpg_newton.evaluation import figures
 from aicpg_newton.evaluation.controllers import trained
 from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP
 from aicpg_newton.evaluation.run import Laboratory, evaluate
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import CONFIG_NAME, RunOptions, train
 from aicpg_newton.methods import run_name, with_method
 from aicpg_newton.task import Task, task_from_dict
 from tasks import get_task
@@ -117,6 +118,8 @@ def compare(options: CompareOptions) -> bool:
         if left is not None and left <= 0.0:
             break
         done = training.iterations()
+        if done == 0 and (training.folder / CONFIG_NAME).is_file():
+            shutil.rmtree(training.folder)  # it was ended before its first checkpoint: there is nothing to go on from
         if done < options.max_iterations:
             train(
                 training.task,

@@ -12,7 +12,7 @@ import math
 import torch
 
 from aicpg_newton import rotations
-from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE
+from aicpg_newton.cpg import CONTROL_DT
 from aicpg_newton.humanoid import GRAVITY, JOINT_NAMES, LEG_LENGTH, MIRROR_PERMUTATION, MIRROR_SIGN, TOTAL_MASS
 from aicpg_newton.terrain import Terrain
 
@@ -31,6 +31,20 @@ SOLE_GRID = (13, 7)
 
 _LONGEST_BOUNCE = 3  # steps in the air (0.05 s) that do not end a stance
 _SHORTEST_STANCE = 6  # steps on the ground (0.1 s); less is a scuff of the swinging foot
+
+_STRIDE_STEPS = (10, 120)
+"""Shortest and longest stride that is looked for [control steps]: 6 to 0.5 a second."""
+
+_SAME_AGAIN = 0.5
+"""Least autocorrelation of the legs' motion one stride apart; below it there is no rhythm."""
+
+_NEARLY_AS_GOOD = 0.9
+"""Of the lags at which the motion repeats, strides are the shortest that is as good as the best but for this factor."""
+
+_NEXT_LANDING = 0.75
+"""A foot that comes down sooner after it landed than this share of a stride has not landed again."""
+
+_LEGS = [JOINT_NAMES.index(f"{side}_{joint}") for side in ("right", "left") for joint in ("hip_y", "knee")]
 
 _RIGHT = [index for index, name in enumerate(JOINT_NAMES) if name.startswith("right_")]
 _LEFT = [MIRROR_PERMUTATION[index] for index in _RIGHT]
@@ -198,21 +212,62 @@ def sole_penetration(
     return masked_mean((-gap).clamp_min(0.0), known), masked_mean(gap.clamp_min(0.0), known)
 
 
-def touch_downs(contact: torch.Tensor) -> torch.Tensor:
-    """Steps at which feet land after a swing; bool, shape as ``contact``.
+def stride_period(joint_position: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+    """Control steps of a stride: the shortest time after which hips and knees do the same again, shape [num_envs].
 
-    Bounces of up to 0.05 s are filled in, and contacts that are then shorter than 0.1 s left out as scuffs: trained
-    gaits drag a toe early in the swing, up to five steps long, which would make two strides of one.
+    It is read off the motion, as trained gaits drag a toe and scuff, and touch-downs of such feet count strides twice.
 
     Args:
-        contact: Whether feet are on the ground, bool, shape [time, ...].
+        joint_position: Joint angles [rad], shape [time, num_envs, 28].
+        valid: Steps that count, one stretch of time for each environment; shape [time, num_envs].
+
+    Returns:
+        Steps, not necessarily whole; NaN where nothing repeats, or in a stretch shorter than one and a half strides.
+    """
+    angles, counted = joint_position[..., _LEGS], valid.unsqueeze(2)
+    mean = torch.where(counted, angles, 0.0).sum(dim=0) / valid.sum(dim=0).clamp(min=1).unsqueeze(1)
+    motion = torch.where(counted, angles - mean, 0.0)
+    likeness = []
+    for lag in range(_STRIDE_STEPS[0] - 1, _STRIDE_STEPS[1] + 2):
+        if 3 * lag > 2 * len(motion):
+            likeness.append(motion.new_zeros(motion.shape[1]))
+            continue
+        both = (valid[lag:] & valid[:-lag]).unsqueeze(2)
+        before, after = (torch.where(both, part, 0.0) for part in (motion[:-lag], motion[lag:]))
+        energy = before.square().sum(dim=(0, 2)) * after.square().sum(dim=(0, 2))
+        alike = (before * after).sum(dim=(0, 2)) / energy.sqrt().clamp(min=1e-9)
+        likeness.append(torch.where(2 * both.sum(dim=(0, 2)) >= lag, alike, 0.0))
+    shorter, here, longer = torch.stack(likeness).unfold(0, 3, 1).unbind(dim=2)
+    peak = torch.where((here > shorter) & (here >= longer), here, 0.0)
+    best = peak.amax(dim=0)
+    first = (peak >= _NEARLY_AS_GOOD * best).long().argmax(dim=0, keepdim=True)
+    low, top, high = (each.gather(0, first).squeeze(0) for each in (shorter, here, longer))
+    between = 0.5 * (low - high) / (low - 2.0 * top + high)  # vertex of the parabola through the peak
+    return torch.where(best >= _SAME_AGAIN, _STRIDE_STEPS[0] + first.squeeze(0) + between, math.nan)
+
+
+def touch_downs(contact: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
+    """Steps at which feet land after a swing; bool, shape as ``contact``.
+
+    Bounces of up to 0.05 s are filled in, contacts that are then shorter than 0.1 s are left out as scuffs, and so is
+    whatever comes less than three quarters of a stride after a landing: trained gaits drag a toe in the swing.
+
+    Args:
+        contact: Whether feet are on the ground, bool, shape [time, num_envs, ...].
+        period: Steps of a stride, shape [num_envs]; where it is NaN, landings may follow one another at once.
     """
     longer = torch.cat((contact, contact.new_zeros(_LONGEST_BOUNCE, *contact.shape[1:])))
     closed = _throughout(_lately(longer, _LONGEST_BOUNCE), _LONGEST_BOUNCE)[: len(contact)]
     stance = _lately(_throughout(closed, _SHORTEST_STANCE - 1), _SHORTEST_STANCE - 1)
     # A foot that is down at the start has not landed; nothing is known of the time before.
     before = torch.cat((stance.new_ones(1, *stance.shape[1:]), stance[:-1]))
-    return stance & ~before
+    landed = stance & ~before
+    apart = (_NEXT_LANDING * period).nan_to_num(0.0).reshape(-1, *(1,) * (contact.dim() - 2))
+    last = torch.full(landed.shape[1:], -math.inf, device=landed.device)
+    for step, each in enumerate(landed):
+        each &= step - last >= apart
+        last = torch.where(each, float(step), last)
+    return landed
 
 
 def _lately(mask: torch.Tensor, steps: int) -> torch.Tensor:
@@ -227,56 +282,54 @@ def _throughout(mask: torch.Tensor, steps: int) -> torch.Tensor:
     return torch.stack([padded[i : i + len(mask)] for i in range(steps + 1)]).all(dim=0)
 
 
-def whole_strides(contact: torch.Tensor, valid: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def whole_strides(
+    contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Steps from a foot's first touch-down up to its last, and the number of strides in between.
 
     Args:
-        contact: Whether a foot is on the ground, bool, shape [time, ...].
-        valid: Steps that count, one stretch for each environment; bool, shape [time, ...].
+        contact: Whether a foot is on the ground, bool, shape [time, num_envs, ...].
+        valid: Steps that count, one stretch for each environment; bool, same shape.
+        period: Steps of a stride, shape [num_envs].
 
     Returns:
-        Bool, shape [time, ...], and number of strides, shape [...].
+        Bool, shape [time, num_envs, ...], and number of strides, shape [num_envs, ...].
     """
-    landed = (touch_downs(contact) & valid).long()
+    landed = (touch_downs(contact, period) & valid).long()
     so_far = landed.cumsum(dim=0)
     strides = (landed.sum(dim=0) - 1).clamp(min=0)
     return (so_far >= 1) & (so_far <= strides), strides
 
 
-def stride_frequency(contact: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
-    """Strides per second [Hz] from the touch-downs of both feet.
+def duty_factor(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
+    """Share of its whole strides that a foot is on the ground, mean of both feet.
 
     Args:
         contact: Whether each foot is on the ground, bool, shape [time, num_envs, 2].
         valid: Steps that count, one stretch for each environment; shape [time, num_envs].
+        period: Steps of a stride, :func:`stride_period`, shape [num_envs].
 
     Returns:
-        Shape [num_envs]; NaN where neither foot makes a whole stride.
+        Shape [num_envs]; NaN where a foot makes no whole stride.
     """
-    inside, strides = whole_strides(contact, valid.unsqueeze(2).expand_as(contact))
-    return CONTROL_RATE * strides.sum(dim=1) / inside.sum(dim=(0, 2))
-
-
-def duty_factor(contact: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
-    """Share of its whole strides that a foot is on the ground, mean of both feet; arguments as above, [num_envs]."""
-    inside, _ = whole_strides(contact, valid.unsqueeze(2).expand_as(contact))
+    inside, _ = whole_strides(contact, valid.unsqueeze(2).expand_as(contact), period)
     return ((contact & inside).sum(dim=0) / inside.sum(dim=0)).mean(dim=1)
 
 
-def flight_ratio(contact: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+def flight_ratio(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
     """Share of whole gait cycles with both feet off the ground (paper, Sec. III-A), shape [num_envs].
 
-    A cycle begins when the right foot lands. Arguments as for :func:`stride_frequency`.
+    A cycle begins when the right foot lands. Arguments as for :func:`duty_factor`.
     """
-    inside, strides = whole_strides(contact[..., 0], valid)
+    inside, strides = whole_strides(contact[..., 0], valid, period)
     ratio = (inside & ~contact.any(dim=2)).sum(dim=0) / inside.sum(dim=0)
     return torch.where(strides > 0, ratio, math.nan)
 
 
-def flight_share_of_strides(contact: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+def flight_share_of_strides(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
     """Share of the right foot's whole strides that hold a flight phase, shape [num_envs]; arguments as above."""
-    inside, strides = whole_strides(contact[..., 0], valid)
-    number = (touch_downs(contact[..., 0]) & valid).long().cumsum(dim=0)
+    inside, strides = whole_strides(contact[..., 0], valid, period)
+    number = (touch_downs(contact[..., 0], period) & valid).long().cumsum(dim=0)
     flying = inside & ~contact.any(dim=2)
     with_flight = torch.stack(
         [(flying & (number == stride)).any(dim=0) for stride in range(1, int(strides.max()) + 1)]

@@ -9,10 +9,10 @@ import tyro
 import yaml
 
 from aicpg_newton import checkpoint
-from aicpg_newton.errors import UserError, run_command
+from aicpg_newton.errors import run_command
 from aicpg_newton.humanoid import ASSETS
 from aicpg_newton.methods import run_name
-from aicpg_newton.task import task_from_dict
+from aicpg_newton.task import plain, task_from_dict
 
 
 @dataclass(kw_only=True)
@@ -29,13 +29,11 @@ def publish(options: PublishOptions) -> Path:
     """Write the shipped checkpoint and its configuration.
 
     Raises:
-        UserError: The checkpoint cannot be read, or its run's config.yaml is missing.
+        UserError: The checkpoint cannot be read.
     """
     content = checkpoint.read(options.checkpoint)
-    folder = options.checkpoint if options.checkpoint.is_dir() else options.checkpoint.parent
-    if not (folder / "config.yaml").is_file():
-        raise UserError(f"no config.yaml in {folder}; give a checkpoint in its run folder")
-    config = yaml.safe_load((folder / "config.yaml").read_text())
+    # The checkpoint's own, as a run that was resumed with other settings has several config.yaml.
+    config = {name: plain(content[name]) for name in ("run", "humanoid", "task")}
     config["trained"] = {"iterations": content["iteration"], "samples": content["samples"]}
     options.out.mkdir(parents=True, exist_ok=True)
     target = options.out / f"{run_name(task_from_dict(content['task'], str(options.checkpoint)))}.pt"

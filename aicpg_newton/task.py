@@ -143,6 +143,8 @@ class Learning:
     """Weight of the entropy bonus."""
     value_coefficient: float = 1.0
     """Weight of the value loss."""
+    value_clipping: bool = False
+    """Let the value move by no more than ``clip`` in an iteration, whatever its size; returns are near 100 here."""
     maximum_gradient_norm: float = 1.0
     """Gradient clipping."""
     symmetry: bool = True
@@ -251,6 +253,13 @@ def _numbers(settings: Any, prefix: str = "") -> list[tuple[str, float]]:
         elif isinstance(value, (int, float)):
             found.append((prefix + each.name, float(value)))
     return found
+
+
+def plain(value: Any) -> Any:
+    """Nested settings with lists in the place of tuples, for YAML."""
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    return [plain(each) for each in value] if isinstance(value, (list, tuple)) else value
 
 
 def task_from_dict(content: Any, source: str) -> Task:

@@ -69,6 +69,9 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
     assert not (tmp_path / "c" / "flat_ppo_2.0_seed_3").exists()
     assert not evaluated
     options.max_minutes = None
+    killed = tmp_path / "c" / "flat_ppo_2.0_seed_3"
+    killed.mkdir()
+    (killed / "config.yaml").write_text("run: {}\n")
     assert compare.compare(options)
     written = {path: path.stat().st_mtime for path in tmp_path.rglob("model_*.pt")}
     assert {path.parent.name for path in written} == {"flat_seed_3", "flat_ppo_2.0_seed_3"}

@@ -269,8 +269,9 @@ def test_the_edge_of_the_terrain_ends_an_episode_without_a_fall(on_hills: Enviro
 
 
 def test_the_curriculum_moves_robots_that_last_to_rougher_ground(on_hills: Environment):
-    """Up after a time-out, down after a fall, within the levels; starts are on the level's strip."""
-    on_hills.episode_length_buf[:2] = on_hills.max_episode_length
+    """Up after half an episode or more, down after a fall, within the levels; starts are on the level's strip."""
+    on_hills.episode_length_buf[:3] = on_hills.max_episode_length
+    on_hills._episode_steps[:2] = 0.5 * on_hills.max_episode_length  # the third's time is out at once
     position = on_hills.engine.state.root_position.clone()
     position[:, 2] = 1.0
     position[1, 2] = 0.0
@@ -280,6 +281,7 @@ def test_the_curriculum_moves_robots_that_last_to_rougher_ground(on_hills: Envir
     assert on_hills.engine.last_reset["root_position"][0, 1] > 0.0  # type: ignore[attr-defined]
     on_hills.level[1] = 1
     on_hills.episode_length_buf[0] = on_hills.max_episode_length
+    on_hills._episode_steps[0] = 0.5 * on_hills.max_episode_length
     on_hills.step(rest(on_hills))
     assert on_hills.level[:2].tolist() == [1, 0]
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 import yaml
 
-from aicpg_newton import checkpoint
+from aicpg_newton import checkpoint, humanoid
 from aicpg_newton.errors import UserError
 from aicpg_newton.methods import with_method
 from aicpg_newton.publish import PublishOptions, publish
@@ -22,25 +22,26 @@ def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):
     for iteration in (2, 9):
         checkpoint.write(
             run / f"model_{iteration}.pt",
-            task={"name": "flat"},
+            task={"name": "flat", "learning": {"hidden_sizes": (8, 4)}},
             pattern={"format": 1},
             run={"seed": 0},
             iteration=iteration,
             samples=100 * iteration,
             algorithm={**networks, "optimizer_state_dict": {"state": torch.rand(1000)}, "replay": torch.rand(1000)},
         )
-    options = PublishOptions(checkpoint=run, out=tmp_path / "policies")
-    with pytest.raises(UserError, match=r"config\.yaml"):
-        publish(options)
-    (run / "config.yaml").write_text("run: {seed: 0}\n")
-    target = publish(options)
+    target = publish(PublishOptions(checkpoint=run, out=tmp_path / "policies"))
     content = checkpoint.read(target)
     assert target.name == "flat.pt"
     assert content["iteration"] == 9
     assert content["algorithm"].keys() == networks.keys()
     assert torch.equal(content["algorithm"]["actor_state_dict"]["w"], networks["actor_state_dict"]["w"])
     config = yaml.safe_load(target.with_suffix(".yaml").read_text())
-    assert config == {"run": {"seed": 0}, "trained": {"iterations": 9, "samples": 900}}
+    assert config == {
+        "run": {"seed": 0},
+        "humanoid": humanoid.version(),
+        "task": {"name": "flat", "learning": {"hidden_sizes": [8, 4]}},
+        "trained": {"iterations": 9, "samples": 900},
+    }
 
 
 @pytest.mark.parametrize(
@@ -57,7 +58,6 @@ def test_baselines_go_by_method_and_condition(tmp_path: Path, choice: str, name:
         samples=1,
         algorithm={"actor_state_dict": {}, "critic_state_dict": {}},
     )
-    (tmp_path / "config.yaml").write_text("run: {}\n")
     target = publish(PublishOptions(checkpoint=tmp_path, out=tmp_path / "policies"))
     assert target.name == name
     assert target.with_name(name.removesuffix(".pt") + ".yaml").is_file()

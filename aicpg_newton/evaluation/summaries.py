@@ -74,17 +74,18 @@ def steady_measures(recording: Recording) -> dict[str, torch.Tensor]:
     """
     valid = recording.settled
     valid = valid & (valid.sum(dim=0) >= SHORTEST)
-    stride = metrics.stride_frequency(recording.contact, valid)
+    period = metrics.stride_period(recording.joint_position, valid)
+    strides = recording.contact, valid, period
     return {
         "speed_mps": metrics.masked_mean(recording.speed, valid),
         "cost_of_transport": metrics.cost_of_transport(recording.power, recording.speed, valid),
         # Left limbs are compared half a stride after right ones; see the function for why.
-        "symmetry_index": metrics.symmetry_index(recording.joint_position, valid, 0.5 * CONTROL_RATE / stride),
+        "symmetry_index": metrics.symmetry_index(recording.joint_position, valid, 0.5 * period),
         "balance_index": metrics.balance_index(recording.root_rotation, valid),
-        "flight_ratio": metrics.flight_ratio(recording.contact, valid),
-        "stride_frequency_hz": stride,
-        "duty_factor": metrics.duty_factor(recording.contact, valid),
-        "flight_share_of_strides": metrics.flight_share_of_strides(recording.contact, valid),
+        "flight_ratio": metrics.flight_ratio(*strides),
+        "stride_frequency_hz": CONTROL_RATE / period,
+        "duty_factor": metrics.duty_factor(*strides),
+        "flight_share_of_strides": metrics.flight_share_of_strides(*strides),
     }
 
 
@@ -252,12 +253,14 @@ def gait_changes(recording: Recording, speed: torch.Tensor, flight: torch.Tensor
 def _diagram(recording: Recording, env: int, start: float, end: float) -> dict[str, Any]:
     """Strides of one environment in a stretch of time."""
     chosen = slice(round(start * CONTROL_RATE), round(end * CONTROL_RATE))
-    contact = recording.contact[chosen, env : env + 1]
-    valid = recording.standing[chosen, env : env + 1]
+    contact, valid, joint_position = (
+        each[chosen, env : env + 1] for each in (recording.contact, recording.standing, recording.joint_position)
+    )
+    period = metrics.stride_period(joint_position, valid)
     measures = {
-        "stride_frequency_hz": float(metrics.stride_frequency(contact, valid)),
-        "duty_factor": float(metrics.duty_factor(contact, valid)),
-        "flight_ratio": float(metrics.flight_ratio(contact, valid)),
+        "stride_frequency_hz": CONTROL_RATE / float(period),
+        "duty_factor": float(metrics.duty_factor(contact, valid, period)),
+        "flight_ratio": float(metrics.flight_ratio(contact, valid, period)),
     }
     incomplete = any(math.isnan(value) for value in measures.values())
     return {"from_s": start, "to_s": end, **measures, "reason": "no whole stride of both feet" if incomplete else ""}

@@ -73,6 +73,7 @@ def runner_settings(task: Task, seed: int) -> dict[str, Any]:
             "gamma": learning.discount,
             "lam": learning.gae_lambda,
             "value_loss_coef": learning.value_coefficient,
+            "use_clipped_value_loss": learning.value_clipping,
             "entropy_coef": learning.entropy_coefficient,
             "learning_rate": learning.learning_rate,
             "max_grad_norm": learning.maximum_gradient_norm,

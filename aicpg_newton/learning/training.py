@@ -20,7 +20,7 @@ from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.runner import Runner, TimeIsUp
 from aicpg_newton.methods import run_name
-from aicpg_newton.task import Task, task_from_dict
+from aicpg_newton.task import Task, plain, task_from_dict
 
 CONFIG_NAME = "config.yaml"
 
@@ -40,7 +40,7 @@ class RunOptions:
     max_minutes: float | None = None
     """Stop at the first checkpoint after this time [min]; --resume goes on from there."""
     seed: int = 0
-    """Seed of networks, exploration and resets."""
+    """Seed of networks, exploration and resets; a resumed run keeps its own."""
     run_dir: Path | None = None
     """Folder of the run; runs/<task>/<method>/<date and time> when not given."""
     pattern: Path = DEFAULT_PATTERN
@@ -98,7 +98,9 @@ def train(task: Task, options: RunOptions) -> Path:
     folder = _run_folder(task, options)
 
     done = 0 if previous is None else previous["iteration"]
-    seed = options.seed + done  # a resumed run does not draw the same numbers again
+    begun = {"seed": options.seed} if previous is None else previous["run"]
+    origin = begun.get("start_from") if start is None else f"{options.start_from} ({start['samples']} samples)"
+    seed = begun["seed"] + done  # a resumed run does not draw the same numbers again
     torch.manual_seed(seed)
     print("Building the simulation; the first time on a machine, compiling its kernels can take two minutes.")
     engine = engine_for(task, options.engine, num_envs, device)
@@ -108,9 +110,9 @@ def train(task: Task, options: RunOptions) -> Path:
         "num_envs": num_envs,
         "engine": engine.name,
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
-        "seed": options.seed,
+        "seed": begun["seed"],
         "max_iterations": options.max_iterations,
-        "start_from": None if start is None else f"{options.start_from} ({start['samples']} samples)",
+        "start_from": origin,
         "git_revision": git_revision(),
         "versions": {name: metadata.version(name) for name in ("newton", "warp-lang", "mujoco", "torch", "rsl-rl-lib")},
     }
@@ -178,12 +180,5 @@ def _run_folder(task: Task, options: RunOptions) -> Path:
 
 def _write_config(path: Path, task: Task, run: dict[str, Any]) -> None:
     """Every setting as it was used."""
-    content = {"run": run, "humanoid": humanoid.version(), "task": _plain(asdict(task))}
+    content = {"run": run, "humanoid": humanoid.version(), "task": plain(asdict(task))}
     path.write_text(yaml.safe_dump(content, sort_keys=False))
-
-
-def _plain(value: Any) -> Any:
-    """Tuples as lists, for YAML."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    return [_plain(each) for each in value] if isinstance(value, (list, tuple)) else value

@@ -1,5 +1,6 @@
 """What tests of evaluations share: a robot whose motion is known."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -19,6 +20,14 @@ def glider(puppet):
             self.ticks = 0
             self.fall_at: dict[int, int] = {}  # environment to step
             self.pushed: list[torch.Tensor | None] = []
+
+        def swing(self) -> torch.Tensor:
+            """Joint angles: hips that swing, a little, once in 60 steps, opposite to one another; shape [28]."""
+            angles = torch.zeros(humanoid.NUM_JOINTS)
+            swing = 1e-3 * math.sin(2 * math.pi * self.ticks / 60)
+            for name, angle in (("right_hip_y", swing), ("left_hip_y", -swing)):
+                angles[humanoid.joint_index(name)] = angle
+            return angles
 
         def step(self, target, target_velocity, reflex_torque, *, push=None) -> None:
             super().step(target, target_velocity, reflex_torque, push=push)
@@ -40,7 +49,7 @@ def glider(puppet):
                 self.state,
                 root_position=position,
                 root_rotation=torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(self.num_envs, 1),
-                joint_position=torch.zeros(self.num_envs, humanoid.NUM_JOINTS),
+                joint_position=self.swing().expand(self.num_envs, -1),
                 joint_velocity=power / 25.0,
                 joint_torque=power,
                 foot_force=force,
