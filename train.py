@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from aicpg_newton.errors import run_command
+from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.learning.training import RunOptions, task_of, train
 from aicpg_newton.methods import DEFAULT_METHOD, with_method
 from aicpg_newton.task import Task
@@ -22,7 +22,7 @@ class Arguments:
     """Train the reflex network of AI-CPG, or a baseline, by PPO, on a GPU if there is one."""
 
     task: str
-    """Task of the registry; its settings are the defaults of the options below."""
+    """flat or uneven; its settings are the defaults of the options below."""
     method: str
     """ai-cpg, ppo or amp: how the humanoid is controlled and learns; changes some of those defaults. See --target-speed
     for ppo and --reference for amp."""
@@ -34,14 +34,23 @@ def defaults(arguments: list[str]) -> Arguments:
     """Defaults of all options: those of ``--task`` and ``--method``, or of the checkpoint that ``--resume`` names.
 
     Raises:
-        UserError: The task or the method is unknown, or the checkpoint cannot be read.
+        UserError: The task or the method is unknown, or the checkpoint cannot be read or is of another one.
     """
     first_look = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    first_look.add_argument("--task", default=next(iter(TASKS)))
-    first_look.add_argument("--method", default=DEFAULT_METHOD)
+    first_look.add_argument("--task")
+    first_look.add_argument("--method")
     first_look.add_argument("--resume", type=Path)
     given, _ = first_look.parse_known_args(arguments)
-    settings = with_method(get_task(given.task), given.method) if given.resume is None else task_of(given.resume)
+    if given.resume is None:
+        settings = with_method(get_task(given.task or next(iter(TASKS))), given.method or DEFAULT_METHOD)
+    else:
+        settings = task_of(given.resume)
+        for name, wanted, own in (("task", given.task, settings.name), ("method", given.method, settings.method)):
+            if wanted not in (None, own):
+                raise UserError(
+                    f"--{name} is {wanted}, but {given.resume} was trained with {own}; leave it out, or begin a new run"
+                    " with --start-from"
+                )
     return Arguments(task=settings.name, method=settings.method, run=RunOptions(), settings=settings)
 
 

@@ -27,7 +27,7 @@ class BenchmarkOptions:
     """Measure control steps per second, in all environments together."""
 
     tasks: tuple[str, ...] = ("flat", "uneven")
-    """Tasks of the registry, to see side by side what their ground costs."""
+    """flat, uneven or both, to see side by side what their ground costs."""
     num_envs: tuple[int, ...] = (256,)
     """Numbers of environments to measure."""
     engines: tuple[str, ...] = ()

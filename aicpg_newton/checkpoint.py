@@ -68,7 +68,9 @@ def read(path: Path) -> dict[str, Any]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many types on torn files
-        raise UserError(f"{path} cannot be read as a checkpoint; it may be cut short, take an earlier one") from error
+        raise UserError(
+            f"{path} cannot be read as a checkpoint and may be cut short; delete it to go on from the one before"
+        ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT or set(content) != _KEYS:
         raise UserError(f"{path} is not a checkpoint of this version of aicpg_newton; use the version that wrote it")
     if content["humanoid"] != humanoid.version():

@@ -15,10 +15,10 @@ import tyro
 
 from aicpg_newton import checkpoint
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.evaluation import figures
+from aicpg_newton.evaluation import figures, records
 from aicpg_newton.evaluation.controllers import trained
 from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP
-from aicpg_newton.evaluation.run import Laboratory, evaluate
+from aicpg_newton.evaluation.run import Laboratory, evaluate, identity_of
 from aicpg_newton.learning.training import CONFIG_NAME, RunOptions, train
 from aicpg_newton.methods import run_name, with_method
 from aicpg_newton.task import Task, task_from_dict
@@ -39,9 +39,9 @@ class CompareOptions:
     out: Path
     """Folder of the comparison: a run folder for each training, and ``evaluation`` once all are done."""
     task: str = "flat"
-    """Task of the registry."""
+    """flat or uneven."""
     methods: tuple[str, ...] = PAPER
-    """Methods, with the condition after a colon where there is one."""
+    """Methods, with the condition after a colon where there is one: ai-cpg ppo:1.5 amp:walk."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """Seeds of each (paper: five)."""
     max_iterations: int = 3000
@@ -107,8 +107,10 @@ def compare(options: CompareOptions) -> bool:
         Whether all trainings are finished.
 
     Raises:
-        UserError: An option cannot be met.
+        UserError: An option cannot be met, or the evaluation in the folder is one of other trainings.
     """
+    if options.max_iterations < 1:
+        raise UserError(f"--max-iterations is {options.max_iterations}; give a positive number")
     if options.max_minutes is not None and not options.max_minutes > 0.0:
         raise UserError(f"--max-minutes is {options.max_minutes}; give a positive number")
     everything = trainings(options)
@@ -141,12 +143,15 @@ def compare(options: CompareOptions) -> bool:
         print("Not all are finished: give the same command again. The evaluation comes when they are.")
         return False
     results = options.out / "evaluation"
-    if (results / f"{SWEEP.name}.csv").exists():
-        print(f"Evaluated before: {results}")
-        return True
     laboratory = Laboratory(options.test_envs, options.engine, options.device, show=True)
     controllers = [trained(training.folder) for training in everything]
-    evaluate([SWEEP, DISTURBANCE], controllers, laboratory, results)
+    if results.exists():
+        records.prepare(results, (), identity_of(controllers, laboratory))
+    missing = [each for each in (SWEEP, DISTURBANCE) if not (results / f"{each.name}.json").exists()]
+    if not missing:
+        print(f"Evaluated before: {results}")
+        return True
+    evaluate(missing, controllers, laboratory, results)
     for path in figures.draw_all([results], results):
         print(f"Figure: {path}")
     return True

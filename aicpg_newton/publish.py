@@ -1,8 +1,11 @@
-"""Put a trained checkpoint into assets/policies, where play.py and evaluate find it: python -m aicpg_newton.publish."""
+"""Put a trained checkpoint into assets/policies, to ship it: python -m aicpg_newton.publish.
+
+play.py and evaluate find a task's network there by themselves; a baseline's file has to be named.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import tyro
@@ -33,10 +36,15 @@ def publish(options: PublishOptions) -> Path:
     """
     content = checkpoint.read(options.checkpoint)
     # The checkpoint's own, as a run that was resumed with other settings has several config.yaml.
-    config = {name: plain(content[name]) for name in ("run", "humanoid", "task")}
-    config["trained"] = {"iterations": content["iteration"], "samples": content["samples"]}
+    task = task_from_dict(content["task"], str(options.checkpoint))
+    config = {
+        "run": content["run"],
+        "humanoid": content["humanoid"],
+        "task": plain(asdict(task)),
+        "trained": {"iterations": content["iteration"], "samples": content["samples"]},
+    }
     options.out.mkdir(parents=True, exist_ok=True)
-    target = options.out / f"{run_name(task_from_dict(content['task'], str(options.checkpoint)))}.pt"
+    target = options.out / f"{run_name(task)}.pt"
     checkpoint.save(checkpoint.without_optimiser(content), target)
     target.with_suffix(".yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     print(f"wrote {target} and {target.with_suffix('.yaml')}")

@@ -62,7 +62,7 @@ class Rewards:
     pattern_error_bound: float = 5.0
     """b of Eq. 8 [rad]. The paper's 2.5 goes with the printed reading; the sum of 28 magnitudes is larger."""
     scale: float = 0.1
-    """Factor on the whole reward, for a value function of order one."""
+    """Factor on the whole reward: a step is then worth about one, and a return of 1000 steps about 80."""
 
 
 @dataclass(kw_only=True)
@@ -115,8 +115,8 @@ class Learning:
 
     hidden_sizes: tuple[int, ...] = (512, 256, 128)
     """Hidden layers of actor and critic (paper, Sec. II-A.2)."""
-    activation: str = "relu"
-    """Activation function (paper: ReLU)."""
+    activation: Literal["relu", "elu", "selu", "lrelu", "gelu", "swish", "mish", "softplus", "tanh", "sigmoid"] = "relu"
+    """Activation function (paper: ReLU); rsl_rl has these."""
     initial_std: float = 0.4
     """Standard deviation of the actions at the start."""
     learn_std: bool = True
@@ -144,7 +144,8 @@ class Learning:
     value_coefficient: float = 1.0
     """Weight of the value loss."""
     value_clipping: bool = False
-    """Let the value move by no more than ``clip`` in an iteration, whatever its size; returns are near 100 here."""
+    """Let the value of a state move by no more than ``clip`` in an iteration. Returns are near 100 here, so that most
+    samples would stop teaching the critic anything."""
     maximum_gradient_norm: float = 1.0
     """Gradient clipping."""
     symmetry: bool = True
@@ -155,7 +156,11 @@ class Learning:
 
 @dataclass(kw_only=True)
 class Imitation:
-    """The discriminator of the AMP baseline (Peng et al. 2021), with the values published for this humanoid."""
+    """The discriminator of the AMP baseline (Peng et al. 2021).
+
+    Network, penalties and scale are those published for this humanoid in Isaac Gym; learning rate, batch, replay and
+    weight are for 256 environments, and say what was published.
+    """
 
     discriminator_hidden_sizes: tuple[int, ...] = (1024, 512)
     """Its hidden layers."""
@@ -233,14 +238,28 @@ class Task:
             "learning.epochs": self.learning.epochs,
             "learning.minibatches": self.learning.minibatches,
             "learning.save_interval": self.learning.save_interval,
+            "learning.learning_rate": self.learning.learning_rate,
+            "learning.desired_kl": self.learning.desired_kl,
+            "learning.clip": self.learning.clip,
+            "learning.maximum_gradient_norm": self.learning.maximum_gradient_norm,
             "learning.hidden_sizes": min(self.learning.hidden_sizes, default=0),
             "imitation.discriminator_hidden_sizes": min(self.imitation.discriminator_hidden_sizes, default=0),
             "imitation.discriminator_batch": self.imitation.discriminator_batch,
             "imitation.replay_size": self.imitation.replay_size,
+            "imitation.discriminator_learning_rate": self.imitation.discriminator_learning_rate,
         }
         for name, value in positive.items():
             if value <= 0:
                 raise UserError(f"{name} is {value}; give a positive number")
+        shares = {"learning.discount": self.learning.discount, "learning.gae_lambda": self.learning.gae_lambda}
+        for name, value in shares.items():
+            if not 0.0 <= value <= 1.0:
+                raise UserError(f"{name} is {value}; give a number from 0 to 1")
+        if not 0.0 <= self.resets.minimum_speed <= self.resets.maximum_speed:
+            raise UserError(
+                f"start speeds run from {self.resets.minimum_speed} to {self.resets.maximum_speed} of the gait's own;"
+                " give a minimum of at least 0 and no larger than the maximum"
+            )
 
 
 def _numbers(settings: Any, prefix: str = "") -> list[tuple[str, float]]:
@@ -266,6 +285,7 @@ def task_from_dict(content: Any, source: str) -> Task:
     """Rebuild a task from ``dataclasses.asdict``, as stored in checkpoints.
 
     Settings that a checkpoint does not know yet take their defaults: a new setting's default is what was done before.
+    The one exception is ``learning.value_clipping``, which was on.
 
     Args:
         content: Nested dictionary.
@@ -274,6 +294,8 @@ def task_from_dict(content: Any, source: str) -> Task:
     Raises:
         UserError: A setting is unknown, or has the wrong kind of value.
     """
+    if isinstance(content, dict) and isinstance(content.get("learning"), dict):
+        content = {**content, "learning": {"value_clipping": True, **content["learning"]}}
     return _from_dict(Task, content, source)
 
 

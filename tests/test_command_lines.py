@@ -8,6 +8,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 
+SHIPPED = "assets/policies/flat.pt"
+
 
 def call(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Run a script of the repository's root."""
@@ -20,6 +22,8 @@ def call(*arguments: str) -> subprocess.CompletedProcess[str]:
         (["train.py", "--task", "moon"], "unknown task 'moon'"),
         (["train.py", "--task=flat", "--num-envs", "0"], "--num-envs is 0"),
         (["train.py", "--resume", "nowhere"], "no checkpoint at nowhere"),
+        (["train.py", "--resume", SHIPPED, "--task", "uneven"], "--task is uneven, but"),
+        (["train.py", "--resume", SHIPPED, "--method", "ppo"], "--method is ppo, but"),
         (["train.py", "--physics.substeps", "3"], "physics.substeps is 3"),
         (["train.py", "--rewards.weights.upright", "nan"], "rewards.weights.upright is nan"),
         (["play.py", "--checkpoint", "nowhere.pt"], "no checkpoint at nowhere.pt"),

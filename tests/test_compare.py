@@ -1,6 +1,7 @@
 """Training several methods one after the other, in pieces, and evaluating them together."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +10,8 @@ import pytest
 from aicpg_newton import checkpoint, compare
 from aicpg_newton.compare import PAPER, CompareOptions, trainings
 from aicpg_newton.errors import UserError
+from aicpg_newton.evaluation import records
+from aicpg_newton.evaluation.run import identity_of
 from aicpg_newton.learning import runner
 from aicpg_newton.methods import METHODS
 from aicpg_newton.task import Task
@@ -56,7 +59,14 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
 ):
     """The same command does what is missing and no more; only when all is done it evaluates."""
     evaluated = []
-    monkeypatch.setattr(compare, "evaluate", lambda protocols, controllers, *_: evaluated.append(controllers))
+
+    def begin_to_evaluate(protocols, controllers, laboratory, folder) -> None:
+        """Only the first protocol is done."""
+        evaluated.append(([each.name for each in protocols], controllers))
+        folder.mkdir(exist_ok=True)
+        records.write(folder, protocols[0].name, [], {"controllers": identity_of(controllers, laboratory)})
+
+    monkeypatch.setattr(compare, "evaluate", begin_to_evaluate)
     monkeypatch.setattr(compare.figures, "draw_all", lambda folders, out: [])
     settings = {"out": tmp_path / "c", "methods": ("ai-cpg", "ppo:2"), "seeds": (3,), "device": "cpu"}
     options = CompareOptions(**settings, max_iterations=2, save_interval=1, num_envs=2, test_envs=2, max_minutes=1e-9)
@@ -76,8 +86,12 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
     written = {path: path.stat().st_mtime for path in tmp_path.rglob("model_*.pt")}
     assert {path.parent.name for path in written} == {"flat_seed_3", "flat_ppo_2.0_seed_3"}
     assert all(checkpoint.read(path.parent)["iteration"] == 2 for path in written)
-    assert [(each.seed, each.task.method) for each in evaluated[0]] == [(3, "ai-cpg"), (3, "ppo")]
-    assert compare.compare(options)
+    assert [(each.seed, each.task.method) for each in evaluated[0][1]] == [(3, "ai-cpg"), (3, "ppo")]
+    for _ in range(2):
+        assert compare.compare(options)
+    assert [names for names, _ in evaluated] == [["sweep", "disturbance"], ["disturbance"]]
+    with pytest.raises(UserError, match="results of other controllers"):
+        compare.compare(replace(options, methods=("ai-cpg",)))
     assert {path: path.stat().st_mtime for path in tmp_path.rglob("model_*.pt")} == written
 
 
@@ -101,6 +115,7 @@ def test_another_training_in_the_folder_is_refused(tmp_path: Path, minute_a_look
         ({"methods": ("sac",)}, "unknown method"),
         ({"task": "moon"}, "unknown task"),
         ({"max_minutes": 0.0}, "--max-minutes is 0"),
+        ({"max_iterations": 0}, "--max-iterations is 0"),
     ],
 )
 def test_bad_options(tmp_path: Path, changes: dict, message: str):

@@ -148,5 +148,5 @@ def test_settings_that_differ_between_methods():
     assert with_method(plain, "ppo").learning == plain.learning
     learning = with_method(plain, "amp").learning
     assert math.log(learning.initial_std) == pytest.approx(-2.9, abs=0.01)
-    names = ("initial_std", "learn_std", "learning_rate", "adaptive_learning_rate", "symmetry")
+    names = ("initial_std", "learn_std", "learning_rate", "adaptive_learning_rate", "epochs", "minibatches", "symmetry")
     assert replace(learning, **{name: getattr(plain.learning, name) for name in names}) == plain.learning

@@ -1,6 +1,6 @@
 """Shipping a checkpoint."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +11,7 @@ from aicpg_newton import checkpoint, humanoid
 from aicpg_newton.errors import UserError
 from aicpg_newton.methods import with_method
 from aicpg_newton.publish import PublishOptions, publish
+from aicpg_newton.task import Learning
 from tasks import get_task
 
 
@@ -22,7 +23,7 @@ def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):
     for iteration in (2, 9):
         checkpoint.write(
             run / f"model_{iteration}.pt",
-            task={"name": "flat", "learning": {"hidden_sizes": (8, 4)}},
+            task=asdict(replace(get_task("flat"), learning=Learning(hidden_sizes=(8, 4)))),
             pattern={"format": 1},
             run={"seed": 0},
             iteration=iteration,
@@ -36,10 +37,12 @@ def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):
     assert content["algorithm"].keys() == networks.keys()
     assert torch.equal(content["algorithm"]["actor_state_dict"]["w"], networks["actor_state_dict"]["w"])
     config = yaml.safe_load(target.with_suffix(".yaml").read_text())
+    assert config["task"].pop("learning")["hidden_sizes"] == [8, 4]
+    assert config["task"].pop("name") == "flat"
+    del config["task"]
     assert config == {
         "run": {"seed": 0},
         "humanoid": humanoid.version(),
-        "task": {"name": "flat", "learning": {"hidden_sizes": [8, 4]}},
         "trained": {"iterations": 9, "samples": 900},
     }
 

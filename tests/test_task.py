@@ -55,6 +55,9 @@ def test_settings_of_another_version_are_refused():
     content = dataclasses.asdict(get_task("uneven"))
     del content["ground"], content["learning"]["learn_std"]
     assert task_from_dict(content, "file").ground.height_range == 0.0
+    assert task_from_dict(content, "file").learning.value_clipping is False
+    del content["learning"]["value_clipping"]  # it was on before it was a setting
+    assert task_from_dict(content, "file").learning.value_clipping is True
     content = dataclasses.asdict(get_task("flat"))
     content["reference"] = "hop"
     with pytest.raises(UserError, match="'hop' for reference"):
@@ -76,6 +79,9 @@ def test_settings_of_another_version_are_refused():
         ("physics.iterations", 0, "physics.iterations is 0"),
         ("learning.minibatches", 0, "learning.minibatches is 0"),
         ("learning.hidden_sizes", (), "learning.hidden_sizes is 0"),
+        ("learning.learning_rate", -1.0, "learning.learning_rate is -1"),
+        ("learning.discount", 2.0, "learning.discount is 2.0"),
+        ("resets.minimum_speed", 3.0, "start speeds run from 3.0"),
         ("termination.maximum_tilt", float("inf"), "termination.maximum_tilt is inf"),
     ],
 )

@@ -207,10 +207,7 @@ def evaluate(
     if COMMAND.name in wanted and not (folder / f"{SWEEP.name}.csv").exists():
         wanted.setdefault(SWEEP.name, SWEEP)  # whose curve the commands need
         check([SWEEP], controllers, laboratory)
-    identity = [
-        {**controller.description(), "ground": ground_of(controller.task, laboratory.terrain_seeds)}
-        for controller in controllers
-    ]
+    identity = identity_of(controllers, laboratory)
     records.prepare(folder, wanted, identity)
     for protocol in protocols:
         out = [controller.title for controller in controllers if controller not in _participants(protocol, controllers)]
@@ -239,6 +236,14 @@ def evaluate(
             "results": results,
         }
         records.write(folder, protocol.name, rows, description)
+
+
+def identity_of(controllers: Sequence[Controller], laboratory: Laboratory) -> list[dict[str, Any]]:
+    """What tells results from those of other controllers or ground."""
+    return [
+        {**controller.description(), "ground": ground_of(controller.task, laboratory.terrain_seeds)}
+        for controller in controllers
+    ]
 
 
 def _participants(protocol: Protocol, controllers: Sequence[Controller]) -> list[Controller]:

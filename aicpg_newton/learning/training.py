@@ -116,9 +116,6 @@ def train(task: Task, options: RunOptions) -> Path:
         "git_revision": git_revision(),
         "versions": {name: metadata.version(name) for name in ("newton", "warp-lang", "mujoco", "torch", "rsl-rl-lib")},
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    name = CONFIG_NAME if not (folder / CONFIG_NAME).exists() else f"config_from_iteration_{done}.yaml"
-    _write_config(folder / name, task, run)
     runner = Runner(environment, run, folder, math.inf if options.max_minutes is None else 60 * options.max_minutes)
     if start is not None:
         runner.take_networks(start, "actor", "critic")
@@ -126,6 +123,12 @@ def train(task: Task, options: RunOptions) -> Path:
     if previous is not None:
         runner.restore(previous)
         print(f"Resumed {options.resume} after {done} iterations.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        name = CONFIG_NAME if not (folder / CONFIG_NAME).exists() else f"config_from_iteration_{done}.yaml"
+        _write_config(folder / name, task, run)
+    except OSError as error:
+        raise UserError(f"cannot write into {folder} ({error.strerror}); give --run-dir another one") from error
     try:
         runner.learn(options.max_iterations - done, init_at_random_ep_len=True)
     except TimeIsUp:

@@ -66,5 +66,7 @@ def test_settings_reach_rsl_rl():
     assert settings["actor"]["hidden_dims"] == settings["critic"]["hidden_dims"] == [32, 16]
     assert settings["num_steps_per_env"] == 7
     assert settings["algorithm"]["symmetry_cfg"]["use_data_augmentation"] is True
-    learning.symmetry = False
+    assert settings["algorithm"]["use_clipped_value_loss"] is False
+    learning.symmetry, learning.value_clipping = False, True
+    assert runner_settings(task, seed=5)["algorithm"]["use_clipped_value_loss"] is True
     assert runner_settings(task, seed=5)["algorithm"]["symmetry_cfg"] is None
