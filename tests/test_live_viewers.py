@@ -1,5 +1,6 @@
 """Live viewers, without a display."""
 
+import importlib
 import sys
 import time
 from importlib.util import find_spec
@@ -185,10 +186,9 @@ def test_no_viewer_shows_nothing():
 @pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed")
 def test_viser_opens_and_closes(monkeypatch):
     """The real browser viewer takes poses, and its slider moves ours."""
-    import viser
-
-    handles, add_slider = [], viser.GuiApi.add_slider
-    monkeypatch.setattr(viser.GuiApi, "add_slider", lambda *a, **b: handles.append(add_slider(*a, **b)) or handles[-1])
+    gui = importlib.import_module("viser").GuiApi
+    handles, add_slider = [], gui.add_slider
+    monkeypatch.setattr(gui, "add_slider", lambda *a, **b: handles.append(add_slider(*a, **b)) or handles[-1])
     slider = Slider("f [Hz]", 0.9, 0.7, 1.5)
     with LiveViewer("viser", 2, slider=slider) as viewer:
         for step in range(3):
