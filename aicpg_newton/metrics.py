@@ -285,7 +285,7 @@ def _throughout(mask: torch.Tensor, steps: int) -> torch.Tensor:
 def whole_strides(
     contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Steps from a foot's first touch-down up to its last, and the number of strides in between.
+    """Strides of a foot, from its first touch-down up to its last.
 
     Args:
         contact: Whether a foot is on the ground, bool, shape [time, num_envs, ...].
@@ -293,12 +293,13 @@ def whole_strides(
         period: Steps of a stride, shape [num_envs].
 
     Returns:
-        Bool, shape [time, num_envs, ...], and number of strides, shape [num_envs, ...].
+        Number of the stride that each step is part of, from 1, and 0 outside them, shape [time, num_envs, ...]; and how
+        many there are, shape [num_envs, ...].
     """
     landed = (touch_downs(contact, period) & valid).long()
     so_far = landed.cumsum(dim=0)
     strides = (landed.sum(dim=0) - 1).clamp(min=0)
-    return (so_far >= 1) & (so_far <= strides), strides
+    return torch.where(so_far <= strides, so_far, 0), strides
 
 
 def duty_factor(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
@@ -312,7 +313,7 @@ def duty_factor(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor
     Returns:
         Shape [num_envs]; NaN where a foot makes no whole stride.
     """
-    inside, _ = whole_strides(contact, valid.unsqueeze(2).expand_as(contact), period)
+    inside = whole_strides(contact, valid.unsqueeze(2).expand_as(contact), period)[0] > 0
     return ((contact & inside).sum(dim=0) / inside.sum(dim=0)).mean(dim=1)
 
 
@@ -321,18 +322,18 @@ def flight_ratio(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tenso
 
     A cycle begins when the right foot lands. Arguments as for :func:`duty_factor`.
     """
-    inside, strides = whole_strides(contact[..., 0], valid, period)
+    stride, strides = whole_strides(contact[..., 0], valid, period)
+    inside = stride > 0
     ratio = (inside & ~contact.any(dim=2)).sum(dim=0) / inside.sum(dim=0)
     return torch.where(strides > 0, ratio, math.nan)
 
 
 def flight_share_of_strides(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
     """Share of the right foot's whole strides that hold a flight phase, shape [num_envs]; arguments as above."""
-    inside, strides = whole_strides(contact[..., 0], valid, period)
-    number = (touch_downs(contact[..., 0], period) & valid).long().cumsum(dim=0)
-    flying = inside & ~contact.any(dim=2)
+    stride, strides = whole_strides(contact[..., 0], valid, period)
+    flying = torch.where(contact.any(dim=2), 0, stride)
     with_flight = torch.stack(
-        [(flying & (number == stride)).any(dim=0) for stride in range(1, int(strides.max()) + 1)]
+        [(flying == number).any(dim=0) for number in range(1, int(strides.max()) + 1)]
         or [torch.zeros_like(strides, dtype=torch.bool)]
     )
     return with_flight.sum(dim=0) / strides
