@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.learning.training import RunOptions, task_of, train
+from aicpg_newton.learning.training import RunOptions, task_of, train, with_networks_of
 from aicpg_newton.methods import DEFAULT_METHOD, with_method
 from aicpg_newton.task import Task
 from tasks import TASKS, get_task
@@ -33,6 +33,8 @@ class Arguments:
 def defaults(arguments: list[str]) -> Arguments:
     """Defaults of all options: those of ``--task`` and ``--method``, or of the checkpoint that ``--resume`` names.
 
+    The networks are built as those of the checkpoint that ``--start-from`` names.
+
     Raises:
         UserError: The task or the method is unknown, or the checkpoint cannot be read or is of another one.
     """
@@ -40,9 +42,12 @@ def defaults(arguments: list[str]) -> Arguments:
     first_look.add_argument("--task")
     first_look.add_argument("--method")
     first_look.add_argument("--resume", type=Path)
+    first_look.add_argument("--start-from", type=Path)
     given, _ = first_look.parse_known_args(arguments)
     if given.resume is None:
         settings = with_method(get_task(given.task or next(iter(TASKS))), given.method or DEFAULT_METHOD)
+        if given.start_from is not None:
+            settings = with_networks_of(settings, given.start_from)
     else:
         settings = task_of(given.resume)
         for name, wanted, own in (("task", given.task, settings.name), ("method", given.method, settings.method)):

@@ -38,6 +38,41 @@ def resolve_device(name: str) -> torch.device:
     return torch.device("cuda", device.index or 0)
 
 
+def resolve_learner_device(name: str | None, engine: str, device: torch.device) -> torch.device:
+    """Device of the networks, which may be another one than that of the physics where the physics is on the CPU.
+
+    Args:
+        name: ``cpu``, ``cuda:N`` or ``mps``; None for the device of the physics.
+        engine: Name of the engine.
+        device: Device of the physics.
+
+    Raises:
+        UserError: There is no such device, or the physics is not on the CPU.
+    """
+    if name is None or name == str(device):
+        return device
+    if engine != "mujoco":
+        raise UserError(
+            f"--learner-device {name} goes with --engine mujoco, which runs on the CPU; engine {engine!r} on {device}"
+            " keeps the networks beside it, so leave it out"
+        )
+    if name == "mps":
+        if not torch.backends.mps.is_available():
+            raise UserError("--learner-device mps is not there: it takes a Mac with Metal; leave it out")
+        return torch.device("mps")
+    if name == "auto":
+        raise UserError(
+            "--learner-device is auto; give cpu, cuda:0 or mps, or leave it out to learn beside the physics"
+        )
+    return resolve_device(name)
+
+
+def finish(device: torch.device | str) -> None:
+    """Wait until a device has done its work."""
+    if torch.device(device).type == "cuda":
+        torch.cuda.synchronize(device)
+
+
 @contextmanager
 def torch_threads(number: int) -> Iterator[None]:
     """Let torch work with so many CPU threads for a while; also a decorator.

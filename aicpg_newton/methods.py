@@ -28,7 +28,7 @@ class Method:
     """Gains, limits and damping."""
     settings: Callable[[Task], Task] = lambda task: task
     """The task's settings where they have to differ."""
-    algorithm: str = "PPO"
+    algorithm: str = "aicpg_newton.learning.ppo:BoundedPPO"
     """rsl_rl's algorithm, or the class that takes its place."""
     algorithm_settings: Callable[[Task], dict[str, Any]] = lambda task: {}
     """What that class is given besides PPO's settings."""
@@ -42,17 +42,18 @@ def _amp(task: Task) -> Task:
     """The published fixed standard deviation of exp(-2.9), and with that fewer updates at a small fixed learning rate.
 
     With so small a deviation the KL divergence, by which the learning rate is adapted, and the policy ratios of mirror
-    images tell nothing any more. Published are 5e-5 and 6 x 2 updates on eight times as many samples; the shipped
-    networks were trained with the numbers here.
+    images tell nothing any more; equivariant networks have not been tried. Published are 5e-5 and 6 x 2 updates on 16
+    times as many samples. The shipped network had 3 x 4 updates on 32 steps an iteration, as many for each sample.
     """
     learning = replace(
         task.learning,
+        network="mlp",
         initial_std=0.055,
         learn_std=False,
         learning_rate=1e-4,
         epochs=3,
-        minibatches=4,
-        adaptive_learning_rate=False,
+        minibatches=2,
+        learning_rate_schedule="fixed",
         symmetry=False,
     )
     return replace(task, learning=learning)

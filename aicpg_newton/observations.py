@@ -115,8 +115,17 @@ def _mirror_map() -> tuple[tuple[int, ...], tuple[float, ...]]:
     return mirror_blocks(BLOCKS, maps)
 
 
+def mirror_map(size: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Permutation and sign under a reflection y -> -y: ``mirrored[i] = sign[i] * observed[permutation[i]]``.
+
+    Args:
+        size: 192, or 136 without the CPG, whose observations are the first blocks.
+    """
+    permutation, sign = _mirror_map()
+    return permutation[:size], sign[:size]
+
+
 def mirror(observations: torch.Tensor) -> torch.Tensor:
     """Left-right mirror image of observations, shape [..., 192 or 136]; mirroring twice is the identity."""
-    permutation, sign = _mirror_map()
-    size = observations.shape[-1]  # without the CPG the observations are the first blocks
-    return observations[..., list(permutation[:size])] * observations.new_tensor(sign[:size])
+    permutation, sign = mirror_map(observations.shape[-1])
+    return observations[..., list(permutation)] * observations.new_tensor(sign)

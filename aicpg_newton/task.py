@@ -61,8 +61,8 @@ class Rewards:
     """Reading of Eq. 7. As printed (magnitude_of_sum) errors cancel, and speed stopped following f in a first trial."""
     pattern_error_bound: float = 5.0
     """b of Eq. 8 [rad]. The paper's 2.5 goes with the printed reading; the sum of 28 magnitudes is larger."""
-    scale: float = 0.1
-    """Factor on the whole reward: a step is then worth about one, and a return of 1000 steps about 80."""
+    scale: float = 0.01
+    """Factor on the whole reward: a return is then of the order of one, which the critic learns soonest."""
 
 
 @dataclass(kw_only=True)
@@ -113,26 +113,35 @@ class Pushes:
 class Learning:
     """Proximal policy optimisation, as rsl_rl's runner takes it."""
 
+    network: Literal["equivariant", "mlp"] = "equivariant"
+    """equivariant: layers that commute with the left-right mirror, so that the controller is exactly symmetric; mlp:
+    ordinary layers."""
     hidden_sizes: tuple[int, ...] = (512, 256, 128)
     """Hidden layers of actor and critic (paper, Sec. II-A.2)."""
+    critic_hidden_sizes: tuple[int, ...] = ()
+    """Hidden layers of the critic where they differ from the actor's."""
     activation: Literal["relu", "elu", "selu", "lrelu", "gelu", "swish", "mish", "softplus", "tanh", "sigmoid"] = "relu"
     """Activation function (paper: ReLU); rsl_rl has these."""
     initial_std: float = 0.4
     """Standard deviation of the actions at the start."""
     learn_std: bool = True
     """Learn the standard deviation; otherwise it stays as it is at the start."""
-    steps_per_iteration: int = 32
+    steps_per_iteration: int = 16
     """Control steps per environment and iteration."""
-    epochs: int = 5
+    epochs: int = 2
     """Passes over the collected samples."""
-    minibatches: int = 8
+    minibatches: int = 4
     """Minibatches per pass."""
-    learning_rate: float = 1e-3
+    learning_rate: float = 5e-4
     """Learning rate, or that at the start if it is adaptive."""
-    adaptive_learning_rate: bool = True
-    """Adapt the learning rate to the KL divergence."""
-    desired_kl: float = 0.015
-    """KL divergence the learning rate is adapted to."""
+    learning_rate_schedule: Literal["iteration", "minibatch", "fixed"] = "iteration"
+    """Adapt the learning rate to the KL divergence once an iteration, at every minibatch, or not at all."""
+    minimum_learning_rate: float = 5e-5
+    """Least learning rate."""
+    maximum_learning_rate: float = 1e-3
+    """Greatest learning rate."""
+    desired_kl: float = 0.03
+    """KL divergence the learning rate is adapted to: of a whole update, or of what is done of it at a minibatch."""
     discount: float = 0.99
     """Discount factor gamma."""
     gae_lambda: float = 0.95
@@ -144,13 +153,13 @@ class Learning:
     value_coefficient: float = 1.0
     """Weight of the value loss."""
     value_clipping: bool = False
-    """Let the value of a state move by no more than ``clip`` in an iteration. Returns are near 100 here, so that most
-    samples would stop teaching the critic anything."""
+    """Let the value of a state move by no more than ``clip`` in an iteration. Where returns are far larger than that, as
+    with a reward scale of 0.1, most samples stop teaching the critic anything."""
     maximum_gradient_norm: float = 1.0
     """Gradient clipping."""
     symmetry: bool = True
-    """Learn from every sample and its left-right mirror image."""
-    save_interval: int = 50
+    """Learn from every sample and its left-right mirror image, where the network is an mlp: the other has no need."""
+    save_interval: int = 100
     """Iterations between checkpoints."""
 
 
@@ -239,10 +248,12 @@ class Task:
             "learning.minibatches": self.learning.minibatches,
             "learning.save_interval": self.learning.save_interval,
             "learning.learning_rate": self.learning.learning_rate,
+            "learning.minimum_learning_rate": self.learning.minimum_learning_rate,
             "learning.desired_kl": self.learning.desired_kl,
             "learning.clip": self.learning.clip,
             "learning.maximum_gradient_norm": self.learning.maximum_gradient_norm,
             "learning.hidden_sizes": min(self.learning.hidden_sizes, default=0),
+            "learning.critic_hidden_sizes": min(self.learning.critic_hidden_sizes, default=1),
             "imitation.discriminator_hidden_sizes": min(self.imitation.discriminator_hidden_sizes, default=0),
             "imitation.discriminator_batch": self.imitation.discriminator_batch,
             "imitation.replay_size": self.imitation.replay_size,
@@ -251,6 +262,18 @@ class Task:
         for name, value in positive.items():
             if value <= 0:
                 raise UserError(f"{name} is {value}; give a positive number")
+        low, high = self.learning.minimum_learning_rate, self.learning.maximum_learning_rate
+        if not low <= self.learning.learning_rate <= high:
+            raise UserError(
+                f"learning.learning_rate is {self.learning.learning_rate}, outside of its bounds {low} to {high};"
+                " change it, or learning.minimum-learning-rate and learning.maximum-learning-rate"
+            )
+        odd = [size for size in (*self.learning.hidden_sizes, *self.learning.critic_hidden_sizes) if size % 2]
+        if self.learning.network == "equivariant" and odd:
+            raise UserError(
+                f"layers of an equivariant network have a right and a left half, but one has {odd[0]} units; give even"
+                " numbers"
+            )
         shares = {"learning.discount": self.learning.discount, "learning.gae_lambda": self.learning.gae_lambda}
         for name, value in shares.items():
             if not 0.0 <= value <= 1.0:
@@ -284,8 +307,8 @@ def plain(value: Any) -> Any:
 def task_from_dict(content: Any, source: str) -> Task:
     """Rebuild a task from ``dataclasses.asdict``, as stored in checkpoints.
 
-    Settings that a checkpoint does not know yet take their defaults: a new setting's default is what was done before.
-    The one exception is ``learning.value_clipping``, which was on.
+    Settings that a checkpoint does not know yet take what was done when it was written: :data:`_BEFORE` for those whose
+    default has changed since, their default for all others.
 
     Args:
         content: Nested dictionary.
@@ -295,8 +318,21 @@ def task_from_dict(content: Any, source: str) -> Task:
         UserError: A setting is unknown, or has the wrong kind of value.
     """
     if isinstance(content, dict) and isinstance(content.get("learning"), dict):
-        content = {**content, "learning": {"value_clipping": True, **content["learning"]}}
+        learning = dict(content["learning"])
+        if "adaptive_learning_rate" in learning:  # the schedule's name until there were three
+            learning["learning_rate_schedule"] = "minibatch" if learning.pop("adaptive_learning_rate") else "fixed"
+        content = {**content, "learning": {**_BEFORE, **learning}}
     return _from_dict(Task, content, source)
+
+
+_BEFORE = {
+    "value_clipping": True,
+    "network": "mlp",
+    "learning_rate_schedule": "minibatch",
+    "minimum_learning_rate": 1e-5,
+    "maximum_learning_rate": 1e-2,
+}
+"""Learning settings that were not settings once, with what was done then."""
 
 
 def _has_no_default(setting: dataclasses.Field) -> bool:

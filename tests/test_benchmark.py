@@ -1,9 +1,19 @@
 """The benchmark measures what it says, and its table can be read."""
 
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import pytest
 
-from aicpg_newton.benchmark import BenchmarkOptions, Rates, benchmark, table
+from aicpg_newton import benchmark as module
+from aicpg_newton.benchmark import BenchmarkOptions, Rates, benchmark, table, time_to_walk, walking_table
 from aicpg_newton.errors import UserError
+from aicpg_newton.learning.time_to_walk import WalkingTime
+from tasks import get_task
 
 
 def test_rates_of_an_engine(capsys: pytest.CaptureFixture):
@@ -44,9 +54,53 @@ def test_table_is_worked_out_from_the_rates():
         ({"engines": ("bullet",)}, "bullet"),
         ({"tasks": ("moon",)}, "moon"),
         ({"tasks": ()}, "--tasks is empty"),
+        ({"seeds": ()}, "--seeds is empty"),
+        ({"max_samples": 0}, "--max-samples is 0"),
+        ({"json": Path("nowhere/times.json")}, "no folder nowhere"),
+        ({"json": Path("times.txt")}, "must end in .json"),
+        ({"engines": ("newton",), "learner_device": "cuda:0"}, "goes with --engine mujoco"),
     ],
 )
 def test_bad_options(changes: dict, message: str):
-    """One sentence each."""
-    with pytest.raises(UserError, match=message):
-        benchmark(BenchmarkOptions(**{"device": "cpu", **changes}))
+    """One sentence each, for both ways to measure."""
+    for measure in (benchmark, time_to_walk):
+        with pytest.raises(UserError, match=message):
+            measure(BenchmarkOptions(**{"device": "cpu", **changes}))
+
+
+def test_time_to_walk_of_some_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
+    """The settings given reach the training, and the file has an object for each seed once that seed is done."""
+    path, trained = tmp_path / "times.json", []
+
+    def train(task: Any, *, seed: int, **options: Any) -> WalkingTime:
+        written = json.loads(path.read_text()) if path.exists() else []
+        assert [each["seed"] for each in written] == [0, 2][: len(trained)]
+        trained.append((task.learning.epochs, options["engine"], options["num_envs"]))
+        return WalkingTime(seed, True, 100.0 + seed, 1_000_000, 50.0, 10.0, 40.0 + seed, 180.0)
+
+    monkeypatch.setattr(module.walking, "time_to_walk", train)
+    task = get_task("flat")
+    settings = replace(task, learning=replace(task.learning, epochs=3))
+    options = BenchmarkOptions(time_to_walk=True, seeds=(0, 2), json=path, device="cpu", settings=settings)
+    time_to_walk(options)
+    assert trained == [(3, "mujoco", 256)] * 2
+    written = json.loads(path.read_text())
+    wanted = {"seed", "seconds", "samples", "physics_seconds", "environment_seconds", "learning_seconds"}
+    assert all(wanted <= set(each) for each in written)
+    assert [each["seconds"] for each in written] == [100.0, 102.0]
+    assert not list(tmp_path.glob("*.partial"))
+    assert "| median | 1,000,000 | 101 |" in capsys.readouterr().out
+
+
+def test_shares_of_the_walking_time():
+    """By hand: half the time in the physics, and 10,000 samples a second."""
+    row = walking_table([WalkingTime(1, False, 200.0, 2_000_000, 100.0, 20.0, 80.0)]).splitlines()[2]
+    assert row == "| 1 | 2,000,000 | 200 | 100 s (50%) | 20 s (10%) | 80 s (40%) | 10,000 | no |"
+
+
+def test_settings_can_be_given_on_the_command_line():
+    """As in train.py; a wrong one is one sentence and exit status 2."""
+    command = [sys.executable, "-m", "aicpg_newton.benchmark", "--time-to-walk", "--learning.epochs", "0"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert result.stderr.splitlines()[-1].startswith("error: learning.epochs is 0")

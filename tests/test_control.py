@@ -84,7 +84,7 @@ def test_ppo_is_paid_for_its_target_speed(make, speed: float, reward: float):
     environment.engine.overrides = {"root_linear_velocity": torch.tensor([[speed, 0.7, 0.0]]).repeat(4, 1)}
     environment.step(torch.zeros(4, NUM_JOINTS))
     terms = environment.outcome.reward_terms
-    assert terms["target_speed"][0].item() == pytest.approx(0.1 * 5.0 * reward, abs=1e-6)
+    assert terms["target_speed"][0].item() == pytest.approx(0.01 * 5.0 * reward, abs=1e-7)
     assert "pattern_tracking" not in terms
 
 
@@ -148,5 +148,6 @@ def test_settings_that_differ_between_methods():
     assert with_method(plain, "ppo").learning == plain.learning
     learning = with_method(plain, "amp").learning
     assert math.log(learning.initial_std) == pytest.approx(-2.9, abs=0.01)
-    names = ("initial_std", "learn_std", "learning_rate", "adaptive_learning_rate", "epochs", "minibatches", "symmetry")
+    rates = ("learning_rate", "learning_rate_schedule", "epochs", "minibatches")
+    names = ("initial_std", "learn_std", "network", "symmetry", *rates)
     assert replace(learning, **{name: getattr(plain.learning, name) for name in names}) == plain.learning

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from aicpg_newton.device import resolve_device, torch_threads
+from aicpg_newton.device import resolve_device, resolve_learner_device, torch_threads
 from aicpg_newton.errors import UserError
 
 
@@ -33,6 +33,37 @@ def test_bad_devices(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     with pytest.raises(UserError, match=r"'cuda:3' is not there \(CUDA devices found: 1\)"):
         resolve_device("cuda:3")
+
+
+def test_networks_may_be_on_another_device_than_physics_on_the_cpu(monkeypatch: pytest.MonkeyPatch):
+    """With mujoco a GPU or a Mac's Metal; nothing given is the device of the physics."""
+    cpu, gpu = torch.device("cpu"), torch.device("cuda:0")
+    assert resolve_learner_device(None, "mujoco", cpu) == cpu
+    assert resolve_learner_device("cpu", "newton", cpu) == cpu
+    assert resolve_learner_device(None, "newton", gpu) == gpu
+    assert resolve_learner_device("cuda:0", "newton", gpu) == gpu
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert resolve_learner_device("cuda:1", "mujoco", cpu) == torch.device("cuda:1")
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: True)
+    assert resolve_learner_device("mps", "mujoco", cpu) == torch.device("mps")
+
+
+def test_networks_on_a_device_that_cannot_be(monkeypatch: pytest.MonkeyPatch):
+    """One sentence each: not there, another engine, no such device."""
+    cpu = torch.device("cpu")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
+    with pytest.raises(UserError, match="'cuda:0' is not there"):
+        resolve_learner_device("cuda:0", "mujoco", cpu)
+    with pytest.raises(UserError, match="mps is not there"):
+        resolve_learner_device("mps", "mujoco", cpu)
+    with pytest.raises(UserError, match="goes with --engine mujoco"):
+        resolve_learner_device("cuda:0", "newton", cpu)
+    with pytest.raises(UserError, match="--learner-device is auto"):
+        resolve_learner_device("auto", "mujoco", cpu)
+    with pytest.raises(UserError, match="unknown device 'gpu'"):
+        resolve_learner_device("gpu", "mujoco", cpu)
 
 
 def test_threads_are_given_back():

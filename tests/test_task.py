@@ -68,6 +68,21 @@ def test_settings_of_another_version_are_refused():
         task_from_dict(content, "file")
 
 
+@pytest.mark.parametrize(("was", "now"), [(True, "minibatch"), (False, "fixed")])
+def test_settings_from_before_mean_what_they_meant(was: bool, now: str):
+    """A checkpoint of the first version learns on as it did: ordinary networks, rsl_rl's schedule and its bounds."""
+    content = dataclasses.asdict(get_task("flat"))
+    learning = content["learning"]
+    bounds = ("minimum_learning_rate", "maximum_learning_rate")
+    for name in ("learning_rate_schedule", "network", "critic_hidden_sizes", *bounds):
+        del learning[name]
+    learning["adaptive_learning_rate"] = was
+    found = task_from_dict(content, "file").learning
+    assert (found.network, found.learning_rate_schedule) == ("mlp", now)
+    assert (found.minimum_learning_rate, found.maximum_learning_rate) == (1e-5, 1e-2)
+    assert found.critic_hidden_sizes == ()
+
+
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
@@ -80,6 +95,10 @@ def test_settings_of_another_version_are_refused():
         ("learning.minibatches", 0, "learning.minibatches is 0"),
         ("learning.hidden_sizes", (), "learning.hidden_sizes is 0"),
         ("learning.learning_rate", -1.0, "learning.learning_rate is -1"),
+        ("learning.learning_rate", 0.1, "learning.learning_rate is 0.1, outside of its bounds"),
+        ("learning.maximum_learning_rate", 1e-6, "outside of its bounds"),
+        ("learning.minimum_learning_rate", 0.0, "learning.minimum_learning_rate is 0.0"),
+        ("learning.critic_hidden_sizes", (0,), "learning.critic_hidden_sizes is 0"),
         ("learning.discount", 2.0, "learning.discount is 2.0"),
         ("resets.minimum_speed", 3.0, "start speeds run from 3.0"),
         ("termination.maximum_tilt", float("inf"), "termination.maximum_tilt is inf"),
@@ -95,6 +114,17 @@ def test_bad_settings_are_named(path: str, value: object, message: str):
     setattr(owner, last, value)
     with pytest.raises(UserError, match=message):
         task.validate()
+
+
+def test_layers_of_an_equivariant_network_have_two_halves():
+    """An odd width is refused; an ordinary network takes it."""
+    task = get_task("flat")
+    task.learning.hidden_sizes = (64, 33)
+    task.learning.network = "equivariant"
+    with pytest.raises(UserError, match="one has 33 units"):
+        task.validate()
+    task.learning.network = "mlp"
+    task.validate()
 
 
 def test_every_setting_has_a_help_text():

@@ -13,7 +13,7 @@ from aicpg_newton.errors import UserError
 from aicpg_newton.humanoid import Motors
 from aicpg_newton.terrain import Ground, Terrain
 
-__all__ = ["ENGINES", "BodyState", "Engine", "Physics", "RobotState", "make_engine"]
+__all__ = ["ENGINES", "BodyState", "Engine", "Physics", "RobotState", "engine_name", "make_engine"]
 
 
 class _EngineClass(Protocol):
@@ -49,6 +49,23 @@ ENGINES: dict[str, Callable[[], _EngineClass]] = {
 """Name of each engine to a function that imports and returns its class."""
 
 
+def engine_name(name: str, device: torch.device) -> str:
+    """Name of the engine to use.
+
+    Args:
+        name: A key of :data:`ENGINES`, or ``auto``: newton on CUDA, mujoco on the CPU.
+        device: Device of the physics.
+
+    Raises:
+        UserError: There is no such engine.
+    """
+    if name == "auto":
+        return "newton" if device.type == "cuda" else "mujoco"
+    if name not in ENGINES:
+        raise UserError(f"there is no engine {name!r}; choose one of {', '.join(('auto', *ENGINES))}")
+    return name
+
+
 def make_engine(
     name: str,
     num_envs: int,
@@ -60,7 +77,7 @@ def make_engine(
     """Make an engine by name.
 
     Args:
-        name: A key of :data:`ENGINES`, or ``auto``: newton on CUDA, mujoco on the CPU.
+        name: As for :func:`engine_name`.
         num_envs: Number of humanoids.
         device: Torch device, ``cuda:0`` or ``cpu``.
         motors: Gains, limits, damping and armature per joint.
@@ -70,13 +87,10 @@ def make_engine(
     Raises:
         UserError: There is no such engine or device, the engine cannot run on the device, or a number is out of range.
     """
-    if name != "auto" and name not in ENGINES:
-        raise UserError(f"there is no engine {name!r}; choose one of {', '.join(('auto', *ENGINES))}")
+    device = resolve_device(str(device))
+    engine = ENGINES[engine_name(name, device)]
     if num_envs < 1:
         raise UserError(f"num_envs is {num_envs}; give at least one environment")
     physics.validate()
-    device = resolve_device(str(device))
-    if name == "auto":
-        name = "newton" if device.type == "cuda" else "mujoco"
     terrain = None if ground is None else Terrain.make(ground)
-    return ENGINES[name]()(num_envs, device, motors, physics, terrain)
+    return engine()(num_envs, device, motors, physics, terrain)

@@ -17,6 +17,7 @@ from tensordict import TensorDict
 
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.discriminator import Discriminator, least_squares, reward_of, squared_gradient
+from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.replay import ReplayBuffer
 from aicpg_newton.style import reference_motion
 
@@ -27,7 +28,7 @@ _SAVED = "motion_prior"
 """Key of everything this class adds to a checkpoint."""
 
 
-class AdversarialMotionPriors(PPO):
+class AdversarialMotionPriors(BoundedPPO):
     """PPO whose reward comes from a discriminator that is trained along with the policy.
 
     A step's motion is the pair of style states before and after it. The step in which an episode ends has no such pair,
@@ -45,7 +46,7 @@ class AdversarialMotionPriors(PPO):
         reference: Pairs of reference states one control step apart, shape [samples, 2, N].
         discriminator_hidden_sizes: See :class:`aicpg_newton.task.Imitation`, as for all up to ``task_reward_weight``.
         device: Device of all networks.
-        **ppo: Settings of :class:`rsl_rl.algorithms.PPO`.
+        **ppo: Settings of :class:`aicpg_newton.learning.ppo.BoundedPPO`.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class AdversarialMotionPriors(PPO):
         """
         algorithm = dict(cfg["algorithm"])
         algorithm["reference"] = reference_motion(env.pattern, algorithm.pop("reference_gait"))
-        return PPO.construct_algorithm(obs, env, {**cfg, "algorithm": algorithm}, device)
+        return BoundedPPO.construct_algorithm(obs, env, {**cfg, "algorithm": algorithm}, device)
 
     def process_env_step(
         self, obs: TensorDict, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]

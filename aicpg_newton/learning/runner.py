@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 from rsl_rl.runners import OnPolicyRunner
+from tensordict import TensorDict
 
 from aicpg_newton import checkpoint
 from aicpg_newton.device import torch_threads
@@ -30,18 +31,24 @@ class Runner(OnPolicyRunner):
         run: Facts about the run that go into every checkpoint (number of environments, engine, seed, revision).
         folder: Where logs and checkpoints go; None to log and save nothing.
         seconds: Time after which the next checkpoint is the last [s].
+        device: Device of the networks; None for the environment's.
     """
 
     env: Environment
 
     def __init__(
-        self, environment: Environment, run: dict[str, Any], folder: Path | None = None, seconds: float = math.inf
+        self,
+        environment: Environment,
+        run: dict[str, Any],
+        folder: Path | None = None,
+        seconds: float = math.inf,
+        device: torch.device | None = None,
     ) -> None:
         self.run = run
         self._deadline = time.monotonic() + seconds
         settings = runner_settings(environment.task, run["seed"])
         log_dir = None if folder is None else str(folder)
-        super().__init__(environment, settings, log_dir=log_dir, device=str(environment.device))
+        super().__init__(environment, settings, log_dir=log_dir, device=str(device or environment.device))
         # rsl_rl keeps the revision and the uncommitted changes of this project with the run.
         self.logger.git_status_repos = [__file__]
         self.alg.update = torch_threads(torch.get_num_threads())(self.alg.update)
@@ -106,10 +113,17 @@ class Runner(OnPolicyRunner):
         try:
             self.alg.load(content["algorithm"], load_cfg=parts, strict=True)
         except (RuntimeError, ValueError, KeyError) as error:
+            learning = content["task"]["learning"]
+            sizes = " ".join(map(str, learning["hidden_sizes"]))
             raise UserError(
-                "the checkpoint's networks do not fit the settings; leave the method, learning.hidden-sizes and"
-                " learning.activation as they were"
+                "the checkpoint's networks do not fit the settings; keep its method and give --learning.network"
+                f" {learning.get('network', 'mlp')} --learning.hidden-sizes {sizes} --learning.activation"
+                f" {learning['activation']}, as it was trained with"
             ) from error
+
+    def decide(self, observed: TensorDict) -> torch.Tensor:
+        """Actions without exploration, shape [num_envs, 28], on the environment's device; goes on training after it."""
+        return self.alg.get_policy()(observed.to(self.device)).to(self.env.device)
 
     def policy(self) -> torch.nn.Module:
         """The reflex network for deterministic use: observations [num_envs, 192] to actions [num_envs, 28]."""

@@ -13,6 +13,8 @@ from aicpg_newton.humanoid import mirror_joints
 from aicpg_newton.methods import get_method
 from aicpg_newton.task import Task
 
+_SYMMETRIC = "aicpg_newton.learning.symmetric"
+
 
 def with_mirror_images(
     env: Environment | None, obs: TensorDict | None, actions: torch.Tensor | None
@@ -44,14 +46,15 @@ def runner_settings(task: Task, seed: int) -> dict[str, Any]:
         seed: Recorded with the run.
     """
     learning, method = task.learning, get_method(task.method)
+    equivariant = learning.network == "equivariant"
     network = {
-        "class_name": "MLPModel",
+        "class_name": f"{_SYMMETRIC}:EquivariantModel" if equivariant else "MLPModel",
         "hidden_dims": list(learning.hidden_sizes),
         "activation": learning.activation,
         "obs_normalization": True,
     }
     noise = {
-        "class_name": "GaussianDistribution",
+        "class_name": f"{_SYMMETRIC}:SymmetricGaussian" if equivariant else "GaussianDistribution",
         "init_std": learning.initial_std,
         "std_type": "log",
         "learn_std": learning.learn_std,
@@ -64,7 +67,7 @@ def runner_settings(task: Task, seed: int) -> dict[str, Any]:
         "obs_groups": {"actor": ["policy"], "critic": ["policy"]},
         "logger": "tensorboard",
         "actor": {**network, "distribution_cfg": noise},
-        "critic": network,
+        "critic": {**network, "hidden_dims": list(learning.critic_hidden_sizes or learning.hidden_sizes)},
         "algorithm": {
             "class_name": method.algorithm,
             "num_learning_epochs": learning.epochs,
@@ -77,9 +80,10 @@ def runner_settings(task: Task, seed: int) -> dict[str, Any]:
             "entropy_coef": learning.entropy_coefficient,
             "learning_rate": learning.learning_rate,
             "max_grad_norm": learning.maximum_gradient_norm,
-            "schedule": "adaptive" if learning.adaptive_learning_rate else "fixed",
+            "schedule": learning.learning_rate_schedule,
+            "learning_rate_bounds": (learning.minimum_learning_rate, learning.maximum_learning_rate),
             "desired_kl": learning.desired_kl,
-            "symmetry_cfg": symmetry if learning.symmetry else None,
+            "symmetry_cfg": symmetry if learning.symmetry and not equivariant else None,
             **method.algorithm_settings(task),
         },
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,8 @@ import yaml
 
 from aicpg_newton import checkpoint, humanoid
 from aicpg_newton.cpg import DEFAULT_PATTERN, PatternNetwork
-from aicpg_newton.device import resolve_device
+from aicpg_newton.device import resolve_device, resolve_learner_device
+from aicpg_newton.engines import engine_name
 from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.runner import Runner, TimeIsUp
@@ -35,6 +36,8 @@ class RunOptions:
     """auto, cpu or cuda:N."""
     engine: str = "auto"
     """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
+    learner_device: str | None = None
+    """Device of the networks beside physics on the CPU (engine mujoco): cuda:N or mps."""
     max_iterations: int = 3000
     """Iterations of the whole run, those before a resume included (paper, Sec. III-A: 3000 epochs)."""
     max_minutes: float | None = None
@@ -71,7 +74,9 @@ def train(task: Task, options: RunOptions) -> Path:
         raise UserError(f"--num-envs is {options.num_envs}; give at least 1")
     if options.max_minutes is not None and not options.max_minutes > 0.0:
         raise UserError(f"--max-minutes is {options.max_minutes}; give a positive number")
-    device = resolve_device(options.device)
+    on_cpu = options.engine == "mujoco" and options.device == "auto"  # it runs nowhere else
+    device = torch.device("cpu") if on_cpu else resolve_device(options.device)
+    learner_device = resolve_learner_device(options.learner_device, engine_name(options.engine, device), device)
     if options.resume is not None and options.start_from is not None:
         raise UserError("--resume continues a run and --start-from begins a new one; give one of them")
     previous = None if options.resume is None else checkpoint.read(options.resume)
@@ -109,14 +114,16 @@ def train(task: Task, options: RunOptions) -> Path:
     run = {
         "num_envs": num_envs,
         "engine": engine.name,
-        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
+        "device": _title(device),
+        "learner_device": _title(learner_device),
         "seed": begun["seed"],
         "max_iterations": options.max_iterations,
         "start_from": origin,
         "git_revision": git_revision(),
         "versions": {name: metadata.version(name) for name in ("newton", "warp-lang", "mujoco", "torch", "rsl-rl-lib")},
     }
-    runner = Runner(environment, run, folder, math.inf if options.max_minutes is None else 60 * options.max_minutes)
+    seconds = math.inf if options.max_minutes is None else 60 * options.max_minutes
+    runner = Runner(environment, run, folder, seconds, learner_device)
     if start is not None:
         runner.take_networks(start, "actor", "critic")
         print(f"Begins with the networks of {options.start_from}.")
@@ -144,6 +151,17 @@ def train(task: Task, options: RunOptions) -> Path:
         print(f"Contact or constraint buffers overflowed in {overflows} environments; raise physics.max-contacts.")
     print(f"Done: {last}\nSee it:  python play.py --checkpoint {last}\nCurves:  tensorboard --logdir {folder}")
     return last
+
+
+def with_networks_of(task: Task, start_from: Path) -> Task:
+    """A task whose networks are built as those of a checkpoint, to begin a new run with them.
+
+    Raises:
+        UserError: The checkpoint cannot be read, or is of another version.
+    """
+    own = task_of(start_from).learning
+    kept = {name: getattr(own, name) for name in ("network", "hidden_sizes", "critic_hidden_sizes", "activation")}
+    return replace(task, learning=replace(task.learning, **kept))
 
 
 def task_of(resume: Path) -> Task:
@@ -179,6 +197,11 @@ def _run_folder(task: Task, options: RunOptions) -> Path:
             f"--run-dir {options.run_dir} is not empty; choose another folder, or continue it with --resume"
         )
     return options.run_dir
+
+
+def _title(device: torch.device) -> str:
+    """Name of a device in the records of a run."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
 
 
 def _write_config(path: Path, task: Task, run: dict[str, Any]) -> None:

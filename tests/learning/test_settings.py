@@ -58,15 +58,35 @@ def test_learning_from_mirror_images_makes_a_symmetric_network():
 
 
 def test_settings_reach_rsl_rl():
-    """Numbers of the task stand where rsl_rl looks for them, and symmetry can be turned off."""
-    learning = Learning(learning_rate=2e-4, hidden_sizes=(32, 16), activation="elu", steps_per_iteration=7)
+    """Numbers of the task stand where rsl_rl looks for them, and mirror images are for ordinary networks alone."""
+    learning = Learning(
+        network="mlp",
+        learning_rate=2e-4,
+        hidden_sizes=(32, 16),
+        critic_hidden_sizes=(8,),
+        activation="elu",
+        steps_per_iteration=7,
+        learning_rate_schedule="fixed",
+        minimum_learning_rate=1e-4,
+        maximum_learning_rate=3e-4,
+    )
     task = Task(name="test", learning=learning)
     settings = runner_settings(task, seed=5)
     assert settings["algorithm"]["learning_rate"] == 2e-4
-    assert settings["actor"]["hidden_dims"] == settings["critic"]["hidden_dims"] == [32, 16]
+    assert settings["algorithm"]["learning_rate_bounds"] == (1e-4, 3e-4)
+    assert settings["algorithm"]["schedule"] == "fixed"
+    assert settings["actor"]["hidden_dims"] == [32, 16]
+    assert settings["critic"]["hidden_dims"] == [8]
+    assert settings["actor"]["class_name"] == "MLPModel"
     assert settings["num_steps_per_env"] == 7
     assert settings["algorithm"]["symmetry_cfg"]["use_data_augmentation"] is True
     assert settings["algorithm"]["use_clipped_value_loss"] is False
-    learning.symmetry, learning.value_clipping = False, True
-    assert runner_settings(task, seed=5)["algorithm"]["use_clipped_value_loss"] is True
-    assert runner_settings(task, seed=5)["algorithm"]["symmetry_cfg"] is None
+    learning.symmetry, learning.value_clipping, learning.critic_hidden_sizes = False, True, ()
+    settings = runner_settings(task, seed=5)
+    assert settings["algorithm"]["use_clipped_value_loss"] is True
+    assert settings["algorithm"]["symmetry_cfg"] is None
+    assert settings["critic"]["hidden_dims"] == [32, 16]
+    learning.network, learning.symmetry = "equivariant", True
+    settings = runner_settings(task, seed=5)
+    assert all(settings[name]["class_name"].endswith(":EquivariantModel") for name in ("actor", "critic"))
+    assert settings["algorithm"]["symmetry_cfg"] is None

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from aicpg_newton.device import torch_threads
 from aicpg_newton.environment import Environment, engine_for
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.learning.training import RunOptions, task_of, train
+from aicpg_newton.learning.training import RunOptions, task_of, train, with_networks_of
 from aicpg_newton.methods import with_method
 from aicpg_newton.task import Task
 from tasks import get_task
@@ -54,6 +55,7 @@ def test_run_folder(run: Path):
     assert config["task"]["frequencies"] == {"minimum": 0.8, "maximum": 1.4}
     assert config["run"]["num_envs"] == 4
     assert config["run"]["engine"] == "mujoco"
+    assert config["run"]["device"] == config["run"]["learner_device"] == "cpu"
     assert config["humanoid"] == humanoid.version()
     assert {"git_revision", "versions", "seed"} <= set(config["run"])
     log = EventAccumulator(str(run)).Reload()
@@ -83,7 +85,7 @@ def test_restore_continues_exactly(run: Path, puppet, pattern: PatternNetwork):
     for name in ("actor_state_dict", "critic_state_dict"):
         assert saved[name].keys() == restored[name].keys()
         assert all(torch.equal(value, restored[name][key]) for key, value in saved[name].items())
-        assert saved[name]["obs_normalizer.count"] == 2 * 4 * 8
+        assert saved[name]["obs_normalizer.count"] == 2 * (2 * 4 * 8)  # with the mirror images
     moments = saved["optimizer_state_dict"]["state"]
     assert moments
     for index, state in moments.items():
@@ -134,7 +136,7 @@ def test_baselines_train_on_both_engines(tmp_path: Path, method: str, engine: st
     last = train(task, options(tmp_path / "run", engine=engine))
     assert task_of(last) == task
     first, second = (checkpoint.read(path)["algorithm"]["actor_state_dict"] for path in checkpoint.all_of(last.parent))
-    assert not torch.equal(first["mlp.0.weight"], second["mlp.0.weight"])
+    assert any(not torch.equal(first[name], second[name]) for name in first if name.startswith("mlp."))
     log = EventAccumulator(str(tmp_path / "run")).Reload()
     tags = set(log.Tags()["scalars"])
     assert ("Loss/discriminator" in tags) == (method == "amp")
@@ -147,18 +149,33 @@ def test_a_new_run_may_begin_with_trained_networks(run: Path, tmp_path: Path):
     shipped = tmp_path / "shipped.pt"
     checkpoint.save(checkpoint.without_optimiser(checkpoint.read(run)), shipped)
     task = small_task()
-    task.learning.learning_rate = 1e-12  # so that the first iteration changes next to nothing
+    task.learning.learning_rate_schedule = "fixed"
+    task.learning.learning_rate = task.learning.minimum_learning_rate = 1e-12  # changes next to nothing
     task.learning.minibatches = task.learning.epochs = 1
     last = train(task, options(tmp_path / "second", start_from=shipped, max_iterations=1))
     before, after = (checkpoint.read(path)["algorithm"] for path in (shipped, last))
     for name in ("actor_state_dict", "critic_state_dict"):
-        assert torch.allclose(before[name]["mlp.0.weight"], after[name]["mlp.0.weight"], atol=1e-6)
-        assert after[name]["obs_normalizer.count"] == before[name]["obs_normalizer.count"] + 32
+        assert before[name].keys() == after[name].keys()
+        assert all(
+            torch.allclose(before[name][key], after[name][key], atol=1e-6) for key in before[name] if "mlp" in key
+        )
+        assert after[name]["obs_normalizer.count"] == before[name]["obs_normalizer.count"] + 2 * 32
     content = checkpoint.read(last)
     assert (content["iteration"], content["samples"]) == (1, 32)
     assert "shipped.pt (64 samples)" in content["run"]["start_from"]
     with pytest.raises(UserError, match="one of them"):
         train(task, options(tmp_path / "third", start_from=shipped, resume=run))
+
+
+def test_a_new_run_builds_its_networks_as_those_it_begins_with():
+    """The shipped network is of the first version, an ordinary one; all other settings are today's."""
+    plain = get_task("uneven")
+    found = with_networks_of(plain, checkpoint.shipped("flat"))
+    own = task_of(checkpoint.shipped("flat")).learning
+    assert found.learning.network == own.network
+    assert found.learning.hidden_sizes == own.hidden_sizes
+    kept = {name: getattr(plain.learning, name) for name in ("network", "hidden_sizes", "activation")}
+    assert replace(found, learning=replace(found.learning, **kept)) == plain
 
 
 def test_physics_gets_the_cores_and_learning_all_threads(pattern: PatternNetwork, monkeypatch: pytest.MonkeyPatch):
@@ -179,6 +196,25 @@ def test_physics_gets_the_cores_and_learning_all_threads(pattern: PatternNetwork
         Runner(Environment(task, engine_for(task, "mujoco", 4, torch.device("cpu")), pattern), {"seed": 0}).learn(2)
         assert torch.get_num_threads() == 3
     assert seen == {"step": {1}, "update": {3}}
+
+
+def test_a_checkpoint_of_the_first_version_is_resumed_as_it_was(tmp_path: Path):
+    """Its settings had other names and fewer; it goes on with ordinary networks and rsl_rl's schedule."""
+    task = small_task()
+    task.learning.network, task.learning.learning_rate_schedule = "mlp", "minibatch"
+    task.learning.minimum_learning_rate, task.learning.maximum_learning_rate = 1e-5, 1e-2
+    train(task, options(tmp_path / "run"))
+    content = checkpoint.read(tmp_path / "run")
+    learning = content["task"]["learning"]
+    for name in ("network", "critic_hidden_sizes", "minimum_learning_rate", "maximum_learning_rate"):
+        del learning[name]
+    del learning["learning_rate_schedule"]
+    learning["adaptive_learning_rate"] = True
+    old = tmp_path / "old.pt"
+    checkpoint.save(content, old)
+    assert task_of(old) == task
+    last = train(task_of(old), options(tmp_path / "resumed", resume=old, max_iterations=3))
+    assert checkpoint.read(last)["iteration"] == 3
 
 
 def test_a_run_stops_when_its_time_is_over(tmp_path: Path):
@@ -209,7 +245,7 @@ def test_other_layer_sizes_cannot_resume(run: Path, tmp_path: Path):
     """The message names the setting."""
     task = small_task()
     task.learning.hidden_sizes = (16, 16)
-    with pytest.raises(UserError, match=r"learning\.hidden-sizes"):
+    with pytest.raises(UserError, match=r"--learning\.hidden-sizes 32 32"):
         train(task, options(tmp_path / "other", resume=run, max_iterations=3))
 
 
@@ -221,6 +257,8 @@ def test_other_layer_sizes_cannot_resume(run: Path, tmp_path: Path):
         ({"max_minutes": 0.0}, "--max-minutes is 0"),
         ({"start_from": Path("nowhere.pt")}, "no checkpoint at nowhere.pt"),
         ({"engine": "bullet"}, "bullet"),
+        ({"learner_device": "cuda:0", "engine": "newton"}, "goes with --engine mujoco"),
+        ({"learner_device": "cuda:99"}, "'cuda:99' is not there"),
         ({"pattern": Path("nowhere.pt")}, "no pattern network at nowhere.pt"),
         ({"resume": Path("nowhere.pt")}, "no checkpoint at nowhere.pt"),
     ],

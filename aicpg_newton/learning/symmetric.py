@@ -1,0 +1,191 @@
+"""Networks that are left-right symmetric by construction, as models of rsl_rl.
+
+A mirrored observation gives exactly the mirrored action (actor) and the same value (critic), before, during and after
+training, so no mirror images are needed to learn it.
+"""
+
+# No "from __future__ import annotations" here: TorchScript reads the annotations of buffers.
+import math
+from typing import Any
+
+import torch
+from rsl_rl.models import MLPModel
+from rsl_rl.modules import EmpiricalNormalization
+from rsl_rl.modules.distribution import GaussianDistribution
+from rsl_rl.utils import resolve_nn_activation
+from tensordict import TensorDict
+from torch import nn
+from torch.distributions import Normal
+
+from aicpg_newton import observations
+from aicpg_newton.humanoid import MIRROR_PERMUTATION, MIRROR_SIGN
+
+Mirror = tuple[tuple[int, ...], tuple[float, ...]]
+"""``mirrored[i] = sign[i] * original[permutation[i]]``: permutation and sign."""
+
+JOINTS: Mirror = (MIRROR_PERMUTATION, MIRROR_SIGN)
+UNCHANGED: Mirror = ((0,), (1.0,))
+"""Of a single number that a mirror does not change, as the value of a state."""
+
+
+def halves(mirror: Mirror) -> tuple[torch.Tensor, torch.Tensor]:
+    """The orthonormal basis of half sums and half differences of mirrored pairs, in which a mirror only turns signs.
+
+    Args:
+        mirror: Permutation and sign, of length N.
+
+    Returns:
+        What stays as it is in the mirror, shape [S, N], and what turns its sign, shape [A, N], with S + A = N.
+    """
+    permutation, sign = mirror
+    identity = torch.eye(len(permutation))
+    mirrored = torch.tensor(sign).unsqueeze(1) * identity[list(permutation)]
+    parts = []
+    for total in (identity + mirrored, identity - mirrored):
+        # One row for each pair, that of its first member, and one for each number that is its own mirror image.
+        rows = [i for i, j in enumerate(permutation) if i <= j and total[i].any()]
+        parts.append(total[rows] / total[rows].norm(dim=1, keepdim=True) if rows else identity[:0])
+    return parts[0], parts[1]
+
+
+class MirrorLinear(nn.Module):
+    """A linear layer that commutes with the mirror: one matrix for the symmetric part, one for the antisymmetric part.
+
+    Only the symmetric part can have a bias. Hidden layers hold right + left and right - left, which are the orthonormal
+    parts times the root of two; the factors that this takes are put on the weights, as they are smaller than a batch.
+
+    Args:
+        inputs: Lengths of the symmetric and of the antisymmetric part.
+        outputs: The same of what it gives.
+        from_hidden: Whether the inputs are those of a hidden layer.
+        to_hidden: Whether the outputs are to be those of a hidden layer.
+    """
+
+    def __init__(
+        self, inputs: tuple[int, int], outputs: tuple[int, int], *, from_hidden: bool, to_hidden: bool
+    ) -> None:
+        super().__init__()
+        self.symmetric = nn.Parameter(torch.empty(outputs[0], inputs[0]))
+        self.antisymmetric = nn.Parameter(torch.empty(outputs[1], inputs[1]))
+        self.bias = nn.Parameter(torch.empty(outputs[0]))
+        # As an ordinary layer of this size begins; right and left then have the variance of a layer of both.
+        for weights, size in ((self.symmetric, inputs[0]), (self.antisymmetric, inputs[1]), (self.bias, inputs[0])):
+            nn.init.uniform_(weights, -1.0 / math.sqrt(max(size, 1)), 1.0 / math.sqrt(max(size, 1)))
+        self.bias_factor = math.sqrt(0.5) if to_hidden else 1.0
+        self.factor = self.bias_factor * (math.sqrt(0.5) if from_hidden else 1.0)
+
+    def forward(self, even: torch.Tensor, odd: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Symmetric and antisymmetric part of the outputs, each of shape [batch, ...]."""
+        return (
+            nn.functional.linear(even, self.factor * self.symmetric, self.bias_factor * self.bias),
+            nn.functional.linear(odd, self.factor * self.antisymmetric),
+        )
+
+
+class EquivariantMLP(nn.Module):
+    """Layers that commute with the mirror; a hidden layer has a right and a left half that swap.
+
+    In the basis of :func:`halves` such a layer is two matrices of half the width, so half the multiplications of an
+    ordinary layer. The activation acts on the right and left halves.
+
+    Args:
+        inputs: Mirror map of the inputs.
+        outputs: Mirror map of the outputs.
+        hidden_sizes: Widths of the hidden layers, even numbers.
+        activation: Activation function, by rsl_rl's name.
+    """
+
+    even_input: torch.Tensor
+    odd_input: torch.Tensor
+    even_output: torch.Tensor
+    odd_output: torch.Tensor
+
+    def __init__(self, inputs: Mirror, outputs: Mirror, hidden_sizes: list[int], activation: str) -> None:
+        super().__init__()
+        for name, mirror in (("input", inputs), ("output", outputs)):
+            for part, basis in zip(("even", "odd"), halves(mirror), strict=True):
+                self.register_buffer(f"{part}_{name}", basis, persistent=False)
+        self.activation = resolve_nn_activation(activation)
+        sizes = [
+            (len(self.even_input), len(self.odd_input)),
+            *((width // 2, width // 2) for width in hidden_sizes),
+            (len(self.even_output), len(self.odd_output)),
+        ]
+        last = len(hidden_sizes)
+        self.hidden = nn.ModuleList(
+            MirrorLinear(sizes[i], sizes[i + 1], from_hidden=i > 0, to_hidden=True) for i in range(last)
+        )
+        self.last = MirrorLinear(sizes[last], sizes[last + 1], from_hidden=last > 0, to_hidden=False)
+
+    def forward(self, values: torch.Tensor) -> torch.Tensor:
+        """Outputs, shape [batch, M], of inputs, shape [batch, N]."""
+        even, odd = values @ self.even_input.T, values @ self.odd_input.T
+        for layer in self.hidden:
+            even, odd = layer(even, odd)
+            right, left = self.activation(even + odd), self.activation(even - odd)
+            even, odd = right + left, right - left
+        even, odd = self.last(even, odd)
+        return even @ self.even_output + odd @ self.odd_output
+
+
+class SymmetricNormalization(EmpiricalNormalization):
+    """Mean and standard deviation as of the inputs and their mirror images together.
+
+    Args:
+        mirror: Mirror map of the inputs.
+    """
+
+    def __init__(self, mirror: Mirror) -> None:
+        super().__init__(len(mirror[0]))
+        self.permutation, self.sign = list(mirror[0]), list(mirror[1])
+
+    @torch.jit.unused
+    def update(self, x: torch.Tensor) -> None:
+        """Learn from inputs, shape [batch, N]."""
+        if not self.training:
+            return
+        super().update(torch.cat((x, x[:, self.permutation] * x.new_tensor(self.sign))))
+        # Equal but for rounding; made exactly so, since rounding adds up over a training.
+        mean, variance = self._mean, self._var
+        self._mean = 0.5 * (mean + mean[:, self.permutation] * mean.new_tensor(self.sign))
+        self._var = 0.5 * (variance + variance[:, self.permutation])
+        self._std = torch.sqrt(self._var)
+
+
+class SymmetricGaussian(GaussianDistribution):
+    """Exploration with one standard deviation for a joint and its mirror image."""
+
+    def update(self, mlp_output: torch.Tensor) -> None:
+        """See :meth:`GaussianDistribution.update`."""
+        both = 0.5 * (self.log_std_param + self.log_std_param[list(MIRROR_PERMUTATION)])
+        self._distribution = Normal(mlp_output, both.clamp(*self.log_std_range).exp())
+
+
+class EquivariantModel(MLPModel):
+    """Actor or critic whose network, normaliser and exploration are symmetric.
+
+    Args:
+        obs: Observations.
+        obs_groups: Groups of observations of each set.
+        obs_set: ``actor`` or ``critic``.
+        output_dim: 28 actions, or one value.
+        hidden_dims: Widths of the hidden layers.
+        activation: Activation function.
+        **others: As :class:`rsl_rl.models.MLPModel`.
+    """
+
+    def __init__(
+        self,
+        obs: TensorDict,
+        obs_groups: dict[str, list[str]],
+        obs_set: str,
+        output_dim: int,
+        hidden_dims: list[int],
+        activation: str,
+        **others: Any,
+    ) -> None:
+        super().__init__(obs, obs_groups, obs_set, output_dim, hidden_dims, activation, **others)
+        inputs = observations.mirror_map(self.obs_dim)
+        outputs = JOINTS if output_dim > 1 else UNCHANGED
+        self.mlp = EquivariantMLP(inputs, outputs, hidden_dims, activation)
+        self.obs_normalizer = SymmetricNormalization(inputs)

@@ -1,0 +1,83 @@
+"""Time to walk: what is counted, what passes, and when a test is given up."""
+
+import time
+
+import pytest
+import torch
+
+from aicpg_newton import checkpoint
+from aicpg_newton.cpg import PatternNetwork
+from aicpg_newton.learning import time_to_walk as walking
+from aicpg_newton.learning.runner import Runner
+from aicpg_newton.task import Task, task_from_dict
+from tasks import get_task
+
+CPU = torch.device("cpu")
+
+
+def small_task() -> Task:
+    """The flat task with little learning."""
+    task = get_task("flat")
+    task.learning.hidden_sizes = (16, 16)
+    task.learning.steps_per_iteration = 8
+    task.learning.minibatches = 2
+    return task
+
+
+def test_where_the_time_goes(monkeypatch: pytest.MonkeyPatch):
+    """Parts add up to the whole, tests are not counted, and a training that never walks is given up."""
+    monkeypatch.setattr(walking, "INTERVAL", 128)
+    tests = []
+
+    def slow_test(self: walking.WalkingTest, runner: Runner) -> tuple[tuple[float, ...], float]:
+        tests.append(runner)
+        time.sleep(0.4)
+        return (1.0, 0.9), 20.0
+
+    monkeypatch.setattr(walking.WalkingTest, "__call__", slow_test)
+    lines: list[str] = []
+    began = time.perf_counter()
+    result = walking.time_to_walk(
+        small_task(), seed=3, engine="mujoco", num_envs=8, device=CPU, maximum_samples=256, show=lines.append
+    )
+    assert (result.samples, result.passed, len(tests), len(lines)) == (256, False, 2, 2)
+    assert result.seconds < time.perf_counter() - began - 0.8
+    parts = (result.physics_seconds, result.environment_seconds, result.learning_seconds)
+    assert min(parts) > 0.0
+    assert sum(parts) == pytest.approx(result.seconds)
+    assert "90% at 1.3 Hz" in lines[-1]
+    assert [test.samples for test in result.tests] == [128, 256]
+
+
+def test_it_ends_with_the_first_test_that_is_passed(monkeypatch: pytest.MonkeyPatch):
+    """95 % at both frequencies, 61 of 64, not 60."""
+    assert walking.Test(1, 1.0, 1e-3, (61 / 64, 1.0), 20.0).passed
+    assert not walking.Test(1, 1.0, 1e-3, (60 / 64, 1.0), 20.0).passed
+    monkeypatch.setattr(walking, "INTERVAL", 64)
+    shares = iter([(0.5, 1.0), (0.96, 0.96)])
+    monkeypatch.setattr(walking.WalkingTest, "__call__", lambda self, runner: (next(shares), 20.0))
+    result = walking.time_to_walk(
+        small_task(), seed=0, engine="mujoco", num_envs=8, device=CPU, maximum_samples=10_000, show=lambda line: None
+    )
+    assert result.passed
+    assert result.samples == 128
+
+
+def test_the_shipped_network_walks_and_the_cpg_alone_does_not(pattern: PatternNetwork, monkeypatch: pytest.MonkeyPatch):
+    """On real physics for 4 s: one passes each time alike, the other is given up within 3 s."""
+    monkeypatch.setattr(walking, "DURATION", 4.0)
+    trained = checkpoint.read(checkpoint.shipped("flat"))
+    task = task_from_dict(trained["task"], "shipped")
+    test = walking.WalkingTest(task, "mujoco", pattern, CPU)
+    runner = Runner(test.environment(), trained["run"])
+    runner.take_networks(trained, "actor")
+    standing, lasted = test(runner)
+    assert lasted == 4.0
+    assert min(standing) >= walking.SHARE
+    with torch.no_grad():
+        for weights in runner.alg.actor.mlp.parameters():
+            weights.zero_()
+    standing, lasted = test(runner)
+    assert min(standing) < walking.SHARE
+    assert 0.2 < lasted < 3.0
+    assert test(runner) == (standing, lasted)
