@@ -13,7 +13,7 @@ from aicpg_newton.humanoid import mirror_joints
 from aicpg_newton.methods import get_method
 from aicpg_newton.task import Task
 
-_SYMMETRIC = "aicpg_newton.learning.symmetric"
+_EQUIVARIANT = "aicpg_newton.learning.equivariant"
 
 
 def with_mirror_images(
@@ -48,13 +48,13 @@ def runner_settings(task: Task, seed: int) -> dict[str, Any]:
     learning, method = task.learning, get_method(task.method)
     equivariant = learning.network == "equivariant"
     network = {
-        "class_name": f"{_SYMMETRIC}:EquivariantModel" if equivariant else "MLPModel",
+        "class_name": f"{_EQUIVARIANT}:EquivariantModel" if equivariant else "MLPModel",
         "hidden_dims": list(learning.hidden_sizes),
         "activation": learning.activation,
         "obs_normalization": True,
     }
     noise = {
-        "class_name": f"{_SYMMETRIC}:SymmetricGaussian" if equivariant else "GaussianDistribution",
+        "class_name": f"{_EQUIVARIANT}:SymmetricGaussian" if equivariant else "GaussianDistribution",
         "init_std": learning.initial_std,
         "std_type": "log",
         "learn_std": learning.learn_std,

@@ -85,7 +85,7 @@ def test_restore_continues_exactly(run: Path, puppet, pattern: PatternNetwork):
     for name in ("actor_state_dict", "critic_state_dict"):
         assert saved[name].keys() == restored[name].keys()
         assert all(torch.equal(value, restored[name][key]) for key, value in saved[name].items())
-        assert saved[name]["obs_normalizer.count"] == 2 * (2 * 4 * 8)  # with the mirror images
+        assert saved[name]["obs_normalizer.count"] == 2 * 4 * 8
     moments = saved["optimizer_state_dict"]["state"]
     assert moments
     for index, state in moments.items():
@@ -159,7 +159,7 @@ def test_a_new_run_may_begin_with_trained_networks(run: Path, tmp_path: Path):
         assert all(
             torch.allclose(before[name][key], after[name][key], atol=1e-6) for key in before[name] if "mlp" in key
         )
-        assert after[name]["obs_normalizer.count"] == before[name]["obs_normalizer.count"] + 2 * 32
+        assert after[name]["obs_normalizer.count"] == before[name]["obs_normalizer.count"] + 32
     content = checkpoint.read(last)
     assert (content["iteration"], content["samples"]) == (1, 32)
     assert "shipped.pt (64 samples)" in content["run"]["start_from"]
@@ -275,7 +275,7 @@ def test_learning_lengthens_episodes(tmp_path: Path):
     """A few minutes of training on the CPU keep the humanoid on its feet for longer than the CPG alone."""
     task = get_task("flat")
     task.learning.hidden_sizes = (128, 64)
-    train(task, RunOptions(num_envs=256, device="cpu", max_iterations=90, run_dir=tmp_path / "run"))
+    train(task, RunOptions(num_envs=256, device="cpu", max_iterations=150, run_dir=tmp_path / "run"))
     log = EventAccumulator(str(tmp_path / "run")).Reload()
     lengths = [event.value for event in log.Scalars("Train/mean_episode_length")]
     rewards = [event.value for event in log.Scalars("Train/mean_reward")]

@@ -14,7 +14,7 @@ from aicpg_newton.environment import Environment
 from aicpg_newton.humanoid import MIRROR_PERMUTATION, mirror_joints
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.settings import runner_settings
-from aicpg_newton.learning.symmetric import (
+from aicpg_newton.learning.equivariant import (
     JOINTS,
     EquivariantMLP,
     EquivariantModel,

@@ -1,4 +1,4 @@
-"""Networks that are left-right symmetric by construction, as models of rsl_rl.
+"""Equivariant networks: left-right symmetric by construction, as models of rsl_rl.
 
 A mirrored observation gives exactly the mirrored action (actor) and the same value (critic), before, during and after
 training, so no mirror images are needed to learn it.
@@ -144,11 +144,12 @@ class SymmetricNormalization(EmpiricalNormalization):
         """Learn from inputs, shape [batch, N]."""
         if not self.training:
             return
-        super().update(torch.cat((x, x[:, self.permutation] * x.new_tensor(self.sign))))
-        # Equal but for rounding; made exactly so, since rounding adds up over a training.
+        super().update(x)
         mean, variance = self._mean, self._var
-        self._mean = 0.5 * (mean + mean[:, self.permutation] * mean.new_tensor(self.sign))
-        self._var = 0.5 * (variance + variance[:, self.permutation])
+        mirrored = mean[:, self.permutation] * mean.new_tensor(self.sign)
+        # Both means lie as far from the common one: the law of total variance.
+        self._mean = 0.5 * (mean + mirrored)
+        self._var = 0.5 * (variance + variance[:, self.permutation]) + (0.5 * (mean - mirrored)).square()
         self._std = torch.sqrt(self._var)
 
 

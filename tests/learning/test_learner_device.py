@@ -1,0 +1,73 @@
+"""Networks on another device than the physics: tensors cross over where they must, shown with tensors that hold no data."""
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+from torch._subclasses.fake_tensor import FakeTensorMode
+
+from aicpg_newton.learning.runner import Runner
+from tasks import get_task
+
+GPU, CPU = torch.device("cuda:0"), torch.device("cpu")
+
+
+class CpuEnvironment(VecEnv):
+    """Takes actions on the CPU and gives back tensors there."""
+
+    def __init__(self) -> None:
+        self.task = get_task("flat")
+        self.num_envs, self.num_actions, self.max_episode_length = 4, 28, 1000
+        self.device, self.cfg = CPU, {}
+        self.episode_length_buf = torch.zeros(4, dtype=torch.long)
+        self.actions: list[torch.device] = []
+
+    def get_observations(self) -> TensorDict:
+        """Of the right size."""
+        return TensorDict({"policy": torch.zeros(4, 192)}, batch_size=[4], device=CPU)
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
+        """Note where the actions are; torch refuses to add tensors of two devices."""
+        self.actions.append(actions.device)
+        reward = (actions + torch.zeros(4, 28)).sum(dim=1)
+        ended = torch.zeros(4, dtype=torch.long)
+        return self.get_observations(), reward, ended, {"time_outs": ended.bool(), "log": {}}
+
+
+@pytest.fixture
+def no_data() -> Iterator[None]:
+    """Tensors on any device without that device: shapes and devices are checked, nothing is computed."""
+    torch.__future__.set_overwrite_module_params_on_conversion(True)
+    try:
+        with FakeTensorMode():
+            yield
+    finally:
+        torch.__future__.set_overwrite_module_params_on_conversion(False)
+
+
+@pytest.mark.parametrize("network", ["equivariant", "mlp"])
+def test_samples_go_to_the_networks_and_actions_to_the_physics(network: str, no_data: None):
+    """An iteration of rsl_rl's loop but for the update, whose losses it would read."""
+    environment = CpuEnvironment()
+    environment.task.learning.network = "mlp" if network == "mlp" else "equivariant"
+    runner = Runner(environment, {"seed": 0}, device=GPU)  # pyright: ignore[reportArgumentType]
+    runner.cfg["check_for_nan"] = False
+    updates = []
+    runner.alg.update = lambda: updates.append(runner.alg.storage.step) or {}
+    runner.learn(1)
+    assert updates == [environment.task.learning.steps_per_iteration]
+    assert set(environment.actions) == {CPU}
+    storage = runner.alg.storage
+    kept = (storage.observations["policy"], storage.actions, storage.rewards, storage.returns, storage.advantages)
+    assert {each.device for each in kept} == {GPU}
+    assert {each.device for each in runner.alg.actor.parameters()} == {GPU}
+    assert {each.device for each in runner.alg.critic.parameters()} == {GPU}
+    assert runner.decide(environment.get_observations()).device == CPU
+
+
+def test_two_devices_would_be_noticed(no_data: None):
+    """The check itself: a tensor of the GPU that meets one of the CPU is refused here as on a real machine."""
+    with pytest.raises(RuntimeError, match="device"):
+        torch.zeros(4, device=GPU) + torch.zeros(4)
