@@ -4,8 +4,8 @@ import os
 
 __version__ = "0.1.0"
 
-# Torch's threads wait for one another by spinning, for as long as the operating system lets them. Where two trainings share
-# the cores, each then waits for threads that the other's keep off: 29 s for what takes 1.1 s alone, and 1.9 s if they give
-# up early. GNU's OpenMP reads this when torch is imported; whoever has set it or OMP_WAIT_POLICY is obeyed.
+# Torch's threads wait for one another by spinning, as long as the operating system lets them. Where two trainings share
+# the cores, each waits for threads that the other's spinning ones keep off: 29 s for what takes 1.1 s alone, and 1.9 s
+# if they give up early. GNU's OpenMP reads this when torch is imported; what the user has set is obeyed.
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")

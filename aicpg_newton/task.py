@@ -153,8 +153,8 @@ class Learning:
     value_coefficient: float = 1.0
     """Weight of the value loss."""
     value_clipping: bool = False
-    """Let the value of a state move by no more than ``clip`` in an iteration. Where returns are far larger than that, as
-    with a reward scale of 0.1, most samples stop teaching the critic anything."""
+    """Let the value of a state move by no more than ``clip`` in an iteration. Where returns are far larger, as with a
+    reward scale of 0.1, most samples stop teaching the critic anything."""
     maximum_gradient_norm: float = 1.0
     """Gradient clipping."""
     symmetry: bool = True

@@ -1,5 +1,9 @@
 """Choice of the device and of the number of threads."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 import torch
 
@@ -77,3 +81,20 @@ def test_threads_are_given_back():
     with pytest.raises(ValueError, match="inside"), torch_threads(before + 1):
         raise ValueError("inside")
     assert torch.get_num_threads() == before
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [({}, "1000"), ({"GOMP_SPINCOUNT": "7"}, "7"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "None")],
+)
+def test_waiting_threads_give_up_early(given: dict[str, str], wanted: str):
+    """Said to OpenMP before train.py's imports load torch; what the user has set is obeyed."""
+    inherited = {name: value for name, value in os.environ.items() if name not in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")}
+    code = (
+        "import sys, tyro; assert 'torch' not in sys.modules\n"
+        "import aicpg_newton.errors; assert 'torch' not in sys.modules\n"
+        "import os; print(os.environ.get('GOMP_SPINCOUNT'))"
+    )
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, env={**inherited, **given}, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == wanted

@@ -40,12 +40,11 @@ def halves(mirror: Mirror) -> tuple[torch.Tensor, torch.Tensor]:
     permutation, sign = mirror
     identity = torch.eye(len(permutation))
     mirrored = torch.tensor(sign).unsqueeze(1) * identity[list(permutation)]
-    parts = []
-    for total in (identity + mirrored, identity - mirrored):
-        # One row for each pair, that of its first member, and one for each number that is its own mirror image.
-        rows = [i for i, j in enumerate(permutation) if i <= j and total[i].any()]
-        parts.append(total[rows] / total[rows].norm(dim=1, keepdim=True) if rows else identity[:0])
-    return parts[0], parts[1]
+    # One row for each pair, that of its first member; what is its own mirror image stays or turns its sign.
+    pairs = [i for i, j in enumerate(permutation) if i < j]
+    stays, turns = ([i for i, j in enumerate(permutation) if i == j and sign[i] == own] for own in (1.0, -1.0))
+    even, odd = (identity + mirrored)[pairs + stays], (identity - mirrored)[pairs + turns]
+    return even / even.norm(dim=1, keepdim=True), odd / odd.norm(dim=1, keepdim=True)
 
 
 class MirrorLinear(nn.Module):
@@ -135,9 +134,13 @@ class SymmetricNormalization(EmpiricalNormalization):
         mirror: Mirror map of the inputs.
     """
 
+    permutation: torch.Tensor
+    sign: torch.Tensor
+
     def __init__(self, mirror: Mirror) -> None:
         super().__init__(len(mirror[0]))
-        self.permutation, self.sign = list(mirror[0]), list(mirror[1])
+        self.register_buffer("permutation", torch.tensor(mirror[0]), persistent=False)
+        self.register_buffer("sign", torch.tensor(mirror[1]), persistent=False)
 
     @torch.jit.unused
     def update(self, x: torch.Tensor) -> None:
@@ -146,7 +149,7 @@ class SymmetricNormalization(EmpiricalNormalization):
             return
         super().update(x)
         mean, variance = self._mean, self._var
-        mirrored = mean[:, self.permutation] * mean.new_tensor(self.sign)
+        mirrored = mean[:, self.permutation] * self.sign
         # Both means lie as far from the common one: the law of total variance.
         self._mean = 0.5 * (mean + mirrored)
         self._var = 0.5 * (variance + variance[:, self.permutation]) + (0.5 * (mean - mirrored)).square()
@@ -156,9 +159,15 @@ class SymmetricNormalization(EmpiricalNormalization):
 class SymmetricGaussian(GaussianDistribution):
     """Exploration with one standard deviation for a joint and its mirror image."""
 
+    permutation: torch.Tensor
+
+    def __init__(self, output_dim: int, **others: Any) -> None:
+        super().__init__(output_dim, **others)
+        self.register_buffer("permutation", torch.tensor(MIRROR_PERMUTATION), persistent=False)
+
     def update(self, mlp_output: torch.Tensor) -> None:
         """See :meth:`GaussianDistribution.update`."""
-        both = 0.5 * (self.log_std_param + self.log_std_param[list(MIRROR_PERMUTATION)])
+        both = 0.5 * (self.log_std_param + self.log_std_param.index_select(0, self.permutation))
         self._distribution = Normal(mlp_output, both.clamp(*self.log_std_range).exp())
 
 

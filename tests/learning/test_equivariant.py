@@ -12,8 +12,6 @@ from aicpg_newton import checkpoint, observations
 from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.environment import Environment
 from aicpg_newton.humanoid import MIRROR_PERMUTATION, mirror_joints
-from aicpg_newton.learning.runner import Runner
-from aicpg_newton.learning.settings import runner_settings
 from aicpg_newton.learning.equivariant import (
     JOINTS,
     EquivariantMLP,
@@ -21,6 +19,8 @@ from aicpg_newton.learning.equivariant import (
     SymmetricNormalization,
     halves,
 )
+from aicpg_newton.learning.runner import Runner
+from aicpg_newton.learning.settings import runner_settings
 from aicpg_newton.learning.training import RunOptions, train
 from aicpg_newton.task import Task
 from tasks import get_task
