@@ -274,12 +274,20 @@ def _check(options: BenchmarkOptions) -> tuple[torch.device, str]:
 
 
 def _write(path: Path | None, results: list[Any]) -> None:
-    """Write results as JSON; the file appears whole or not at all."""
+    """Write results as JSON; the file appears whole or not at all.
+
+    Raises:
+        UserError: It cannot be written.
+    """
     if path is None:
         return
     temporary = path.with_suffix(".partial")
-    temporary.write_text(json.dumps([asdict(each) for each in results], indent=1) + "\n")
-    temporary.replace(path)
+    try:
+        temporary.write_text(json.dumps([asdict(each) for each in results], indent=1) + "\n")
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise UserError(f"cannot write {path} ({error.strerror}); what was measured stands above") from error
 
 
 def main() -> None:
