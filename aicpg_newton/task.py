@@ -140,7 +140,7 @@ class Learning:
     """Least learning rate."""
     maximum_learning_rate: float = 1e-3
     """Greatest learning rate."""
-    desired_kl: float = 0.015
+    desired_kl: float = 0.03
     """KL divergence the learning rate is adapted to: of a whole update, or of what is done of it at a minibatch."""
     discount: float = 0.99
     """Discount factor gamma."""
