@@ -81,7 +81,7 @@ def test_reward_is_the_weighted_sum_of_the_terms(environment: Environment):
     error = (environment.control.target - state.joint_position).abs().sum(1)
     upright = rotations.up_axis(state.root_rotation)[:, 2]
     expected = 1.5 - 0.5 * energy + 1.0 + upright + 2.0 + 5.0 * (1 - error / 5.0).clamp_min(0) - 0.5 * 0.5
-    assert torch.allclose(reward, 0.1 * expected, atol=1e-5)
+    assert torch.allclose(reward, 0.01 * expected, atol=1e-6)
     assert set(environment.outcome.reward_terms) == set(vars(environment.task.rewards.weights)) - {"target_speed"}
 
 
@@ -152,7 +152,7 @@ def test_episode_rewards_are_means_per_step(environment: Environment):
     low[1, 2] = 0.1
     environment.engine.overrides = {"root_position": low}  # type: ignore[attr-defined]
     log = environment.step(rest(environment))[3]["log"]
-    assert log["Episode_Reward/survival"].item() == pytest.approx(0.1 * 3 / 4)
+    assert log["Episode_Reward/survival"].item() == pytest.approx(0.01 * 3 / 4)
     assert log["Episode_End/fallen"].item() == 1.0
     environment.engine.overrides = {}  # type: ignore[attr-defined]
     assert "Episode_Reward/survival" not in environment.step(rest(environment))[3]["log"]
@@ -249,7 +249,7 @@ def test_heights_count_from_the_ground_below(on_hills: Environment):
     stand(0.9)
     outcome = on_hills.outcome
     assert not outcome.fallen.any()
-    assert torch.allclose(outcome.reward_terms["head_height"], torch.full((40,), 0.15), atol=1e-5)
+    assert torch.allclose(outcome.reward_terms["head_height"], torch.full((40,), 0.015), atol=1e-6)
     assert torch.allclose(on_hills.get_observations()["policy"][:, 0], torch.full((40,), 0.9), atol=1e-5)
     assert torch.allclose(outcome.ground_height, ground)
     stand(0.54)
