@@ -33,7 +33,7 @@ class Arguments:
 def defaults(arguments: list[str]) -> Arguments:
     """Defaults of all options: those of ``--task`` and ``--method``, or of the checkpoint that ``--resume`` names.
 
-    The networks are built as those of the checkpoint that ``--start-from`` names.
+    Networks and the reward's scale are as in the checkpoint that ``--start-from`` names.
 
     Raises:
         UserError: The task or the method is unknown, or the checkpoint cannot be read or is of another one.

@@ -48,7 +48,7 @@ class BenchmarkOptions:
     """auto, cpu or cuda:N."""
     seconds: float = 5.0
     """Time to measure each rate for [s]."""
-    iterations: int = 2
+    iterations: int = 8
     """Learning iterations to time; 0 leaves learning out."""
     learner_device: str | None = None
     """Device of the networks beside physics on the CPU (engine mujoco): cuda:N or mps."""

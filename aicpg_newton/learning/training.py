@@ -156,12 +156,16 @@ def train(task: Task, options: RunOptions) -> Path:
 def with_networks_of(task: Task, start_from: Path) -> Task:
     """A task whose networks are built as those of a checkpoint, to begin a new run with them.
 
+    The scale of the reward is the checkpoint's too: its critic's values are in units of it.
+
     Raises:
         UserError: The checkpoint cannot be read, or is of another version.
     """
-    own = task_of(start_from).learning
-    kept = {name: getattr(own, name) for name in ("network", "hidden_sizes", "critic_hidden_sizes", "activation")}
-    return replace(task, learning=replace(task.learning, **kept))
+    own = task_of(start_from)
+    names = ("network", "hidden_sizes", "critic_hidden_sizes", "activation")
+    kept = {name: getattr(own.learning, name) for name in names}
+    rewards = replace(task.rewards, scale=own.rewards.scale)
+    return replace(task, learning=replace(task.learning, **kept), rewards=rewards)
 
 
 def task_of(resume: Path) -> Task:

@@ -171,11 +171,12 @@ def test_a_new_run_builds_its_networks_as_those_it_begins_with():
     """The shipped network is of the first version, an ordinary one; all other settings are today's."""
     plain = get_task("uneven")
     found = with_networks_of(plain, checkpoint.shipped("flat"))
-    own = task_of(checkpoint.shipped("flat")).learning
-    assert found.learning.network == own.network
-    assert found.learning.hidden_sizes == own.hidden_sizes
+    own = task_of(checkpoint.shipped("flat"))
+    assert found.learning.network == own.learning.network
+    assert found.learning.hidden_sizes == own.learning.hidden_sizes
+    assert found.rewards.scale == own.rewards.scale  # the critic's unit
     kept = {name: getattr(plain.learning, name) for name in ("network", "hidden_sizes", "activation")}
-    assert replace(found, learning=replace(found.learning, **kept)) == plain
+    assert replace(found, learning=replace(found.learning, **kept), rewards=plain.rewards) == plain
 
 
 def test_physics_gets_the_cores_and_learning_all_threads(pattern: PatternNetwork, monkeypatch: pytest.MonkeyPatch):
