@@ -78,4 +78,4 @@ def test_samples_go_to_the_networks_and_actions_to_the_physics(network: str, no_
 def test_two_devices_would_be_noticed(no_data: None):
     """The check itself: tensors of two devices that meet are refused here as on a real machine."""
     with pytest.raises(RuntimeError, match="device"):
-        torch.zeros(4, device=OTHER) + torch.zeros(4)
+        torch.add(torch.zeros(4, device=OTHER), torch.zeros(4))
