@@ -18,6 +18,9 @@ from aicpg_newton.errors import UserError
 from aicpg_newton.rewards import PatternError
 from aicpg_newton.terrain import Ground
 
+Schedule = Literal["iteration", "minibatch", "fixed"]
+"""When the learning rate is adapted to the KL divergence."""
+
 
 @dataclass(kw_only=True)
 class Frequencies:
@@ -134,7 +137,7 @@ class Learning:
     """Minibatches per pass."""
     learning_rate: float = 5e-4
     """Learning rate, or that at the start if it is adaptive."""
-    learning_rate_schedule: Literal["iteration", "minibatch", "fixed"] = "iteration"
+    learning_rate_schedule: Schedule = "iteration"
     """Adapt the learning rate to the KL divergence once an iteration, at every minibatch, or not at all."""
     minimum_learning_rate: float = 5e-5
     """Least learning rate."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import chain
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from rsl_rl.algorithms import PPO
@@ -13,8 +13,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
 
 from aicpg_newton.errors import UserError
-
-Schedule = Literal["iteration", "minibatch", "fixed"]
+from aicpg_newton.task import Schedule
 
 _STEP = 1.5
 """Factor by which the learning rate goes up or down."""
@@ -29,11 +28,11 @@ _PROBE = 2048
 
 
 class MirrorImages(Symmetry):
-    """rsl_rl's mirror images, without its measure of asymmetry, which cost a sixth of learning and was only logged."""
+    """rsl_rl's mirror images, without its measure of asymmetry: another pass of the actor a minibatch, only to be logged."""
 
     def compute_loss(self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int) -> torch.Tensor:
         """Nothing: see the class."""
-        return torch.zeros((), device=batch.actions.device if batch.actions is not None else None)
+        return torch.zeros(())
 
 
 class Runaway:
