@@ -28,7 +28,7 @@ _PROBE = 2048
 
 
 class MirrorImages(Symmetry):
-    """rsl_rl's mirror images, without its measure of asymmetry: another pass of the actor a minibatch, only to be logged."""
+    """rsl_rl's mirror images without its measure of asymmetry: another pass of the actor, only to be logged."""
 
     def compute_loss(self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int) -> torch.Tensor:
         """Nothing: see the class."""
