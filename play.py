@@ -5,7 +5,7 @@ from __future__ import annotations
 import tyro
 
 from aicpg_newton.errors import run_command
-from aicpg_newton.evaluation.playing import PlayOptions, play
+from aicpg_newton.playing.play import PlayOptions, play
 from tasks import get_task
 
 

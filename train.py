@@ -10,10 +10,10 @@ from typing import Annotated
 
 import tyro
 
+from aicpg_newton.env.methods import DEFAULT_METHOD, with_method
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.learning.training import RunOptions, task_of, train, with_networks_of
-from aicpg_newton.methods import DEFAULT_METHOD, with_method
-from aicpg_newton.task import Task
 from tasks import TASKS, get_task
 
 

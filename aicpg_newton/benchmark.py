@@ -18,15 +18,15 @@ from typing import Annotated, Any
 import torch
 import tyro
 
-from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.device import finish, resolve_device, resolve_learner_device, torch_threads
 from aicpg_newton.engines import ENGINES, Engine, engine_name
-from aicpg_newton.environment import Environment, engine_for
+from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.methods import on_task
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
+from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import time_to_walk as walking
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.methods import on_task
-from aicpg_newton.task import Task
 from aicpg_newton.viewing.output import writable_path
 from tasks import get_task
 
@@ -108,7 +108,7 @@ def measure(
 
     with torch_threads(1):  # as in training
         around = rate(lambda: lambda: environment.step(actions))
-        command = environment.control.command(0.0 * actions, engine.state)
+        command = environment.actuation.command(0.0 * actions, engine.state)
         alone = rate(lambda: lambda: engine.step(*command))
         bare_loop = getattr(engine, "bare_loop", None)
         bare = None if bare_loop is None else rate(bare_loop)

@@ -13,15 +13,16 @@ from pathlib import Path
 
 import tyro
 
-from aicpg_newton import checkpoint
+from aicpg_newton.env.methods import run_name, with_method
+from aicpg_newton.env.task import Task, task_from_dict
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.evaluation import figures, records
+from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.controllers import trained
 from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP
 from aicpg_newton.evaluation.run import Laboratory, evaluate, identity_of
+from aicpg_newton.figures.draw import draw_all
+from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.training import CONFIG_NAME, RunOptions, train
-from aicpg_newton.methods import run_name, with_method
-from aicpg_newton.task import Task, task_from_dict
 from tasks import get_task
 
 PAPER = (
@@ -142,17 +143,17 @@ def compare(options: CompareOptions) -> bool:
     if min(iterations) < options.max_iterations:
         print("Not all are finished: give the same command again. The evaluation comes when they are.")
         return False
-    results = options.out / "evaluation"
+    folder = options.out / "evaluation"
     laboratory = Laboratory(options.test_envs, options.engine, options.device, show=True)
     controllers = [trained(training.folder) for training in everything]
-    if results.exists():
-        records.prepare(results, (), identity_of(controllers, laboratory))
-    missing = [each for each in (SWEEP, DISTURBANCE) if not (results / f"{each.name}.json").exists()]
+    if folder.exists():
+        results.prepare(folder, (), identity_of(controllers, laboratory))
+    missing = [each for each in (SWEEP, DISTURBANCE) if not (folder / f"{each.name}.json").exists()]
     if not missing:
-        print(f"Evaluated before: {results}")
+        print(f"Evaluated before: {folder}")
         return True
-    evaluate(missing, controllers, laboratory, results)
-    for path in figures.draw_all([results], results):
+    evaluate(missing, controllers, laboratory, folder)
+    for path in draw_all([folder], folder):
         print(f"Figure: {path}")
     return True
 

@@ -8,12 +8,13 @@ from typing import Literal
 
 import tyro
 
-from aicpg_newton import checkpoint
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.evaluation import figures, records
+from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.controllers import Controller, cpg_alone, trained
 from aicpg_newton.evaluation.protocols import PROTOCOLS, TERRAIN_SEEDS
 from aicpg_newton.evaluation.run import Laboratory, evaluate
+from aicpg_newton.figures.draw import draw_all
+from aicpg_newton.learning import checkpoint
 from tasks import get_task
 
 
@@ -54,7 +55,7 @@ def main(options: EvaluateOptions) -> None:
     """
     if options.redraw:
         folders = list(options.redraw)
-        records.make_folder(options.out)
+        results.make_folder(options.out)
     else:
         folders = [options.out]
         controllers = _controllers(options)
@@ -70,7 +71,7 @@ def main(options: EvaluateOptions) -> None:
         seeds = options.terrain_seed or TERRAIN_SEEDS
         laboratory = Laboratory(options.num_envs, options.engine, options.device, options.seed, True, seeds)
         evaluate(protocols, controllers, laboratory, options.out)
-    for path in figures.draw_all(folders, options.out):
+    for path in draw_all(folders, options.out):
         print(f"Figure: {path}")
 
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import tyro
 import yaml
 
-from aicpg_newton import checkpoint
+from aicpg_newton.env.methods import run_name
+from aicpg_newton.env.task import plain, task_from_dict
 from aicpg_newton.errors import run_command
-from aicpg_newton.humanoid import ASSETS
-from aicpg_newton.methods import run_name
-from aicpg_newton.task import plain, task_from_dict
+from aicpg_newton.learning import checkpoint
+from aicpg_newton.robot.humanoid import ASSETS
 
 
 @dataclass(kw_only=True)

@@ -1,11 +1,11 @@
-"""Tasks by name. A task is a function that returns a :class:`~aicpg_newton.task.Task`; add a file and a line here."""
+"""Tasks by name. A task is a function that returns a :class:`~aicpg_newton.env.task.Task`; add a file and a line."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
-from aicpg_newton.task import Task
 from tasks.flat import flat
 from tasks.uneven import uneven
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from aicpg_newton.task import Task
-from aicpg_newton.terrain import Ground
+from aicpg_newton.engines.terrain import Ground
+from aicpg_newton.env.task import Task
 
 
 def uneven() -> Task:

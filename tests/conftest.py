@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.engines import BodyState, RobotState
-from aicpg_newton.humanoid import MJCF_PATH, NUM_JOINTS
-from aicpg_newton.terrain import Terrain
+from aicpg_newton.engines.terrain import Terrain
+from aicpg_newton.gait.cpg import PatternNetwork
+from aicpg_newton.robot.humanoid import MJCF_PATH, NUM_JOINTS
 
 torch.set_num_threads(1)  # the tensors are small, and threads that wait for one another cost more than they save
 

@@ -7,14 +7,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from aicpg_newton import checkpoint, compare
+from aicpg_newton import compare
 from aicpg_newton.compare import PAPER, CompareOptions, trainings
+from aicpg_newton.env.methods import METHODS
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
-from aicpg_newton.evaluation import records
+from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.run import identity_of
-from aicpg_newton.learning import runner
-from aicpg_newton.methods import METHODS
-from aicpg_newton.task import Task
+from aicpg_newton.learning import checkpoint, runner
 from tasks import get_task
 
 
@@ -64,10 +64,10 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
         """Only the first protocol is done."""
         evaluated.append(([each.name for each in protocols], controllers))
         folder.mkdir(exist_ok=True)
-        records.write(folder, protocols[0].name, [], {"controllers": identity_of(controllers, laboratory)})
+        results.write(folder, protocols[0].name, [], {"controllers": identity_of(controllers, laboratory)})
 
     monkeypatch.setattr(compare, "evaluate", begin_to_evaluate)
-    monkeypatch.setattr(compare.figures, "draw_all", lambda folders, out: [])
+    monkeypatch.setattr(compare, "draw_all", lambda folders, out: [])
     settings = {"out": tmp_path / "c", "methods": ("ai-cpg", "ppo:2"), "seeds": (3,), "device": "cpu"}
     options = CompareOptions(**settings, max_iterations=2, save_interval=1, num_envs=2, test_envs=2, max_minutes=1e-9)
     assert not compare.compare(options)

@@ -7,11 +7,12 @@ import pytest
 import torch
 import yaml
 
-from aicpg_newton import checkpoint, humanoid
+from aicpg_newton.env.methods import with_method
+from aicpg_newton.env.task import Learning
 from aicpg_newton.errors import UserError
-from aicpg_newton.methods import with_method
+from aicpg_newton.learning import checkpoint
 from aicpg_newton.publish import PublishOptions, publish
-from aicpg_newton.task import Learning
+from aicpg_newton.robot import humanoid
 from tasks import get_task
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from aicpg_newton import humanoid
-from aicpg_newton.control import PatternControl
-from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.engines import Engine, Physics, make_engine
 from aicpg_newton.engines.newton import NewtonEngine
-from aicpg_newton.environment import Environment
+from aicpg_newton.env.actuation import PatternActuation
+from aicpg_newton.env.environment import Environment
+from aicpg_newton.gait.cpg import PatternNetwork
+from aicpg_newton.robot import humanoid
 from tasks import get_task
 
 CPU = torch.device("cpu")
@@ -59,8 +59,8 @@ def test_joints_follow_the_pattern_with_the_pelvis_held_in_the_air(pattern: Patt
         environment.step(torch.zeros(8, 28))
         state = environment.outcome.state
         if step >= 30:
-            assert isinstance(environment.control, PatternControl)
-            errors.append(environment.control.target - state.joint_position)
+            assert isinstance(environment.actuation, PatternActuation)
+            errors.append(environment.actuation.target - state.joint_position)
         held = replace(
             state,
             root_position=height,

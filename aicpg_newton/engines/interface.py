@@ -1,4 +1,4 @@
-"""What an engine takes and gives. Joints and links are in the order of :mod:`aicpg_newton.humanoid` on both sides."""
+"""What an engine takes and gives. Joints and links: the order of :mod:`aicpg_newton.robot.humanoid` on both sides."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import ClassVar, Protocol
 
 import torch
 
-from aicpg_newton.cpg import CONTROL_DT
+from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
-from aicpg_newton.terrain import Terrain
+from aicpg_newton.robot.humanoid import CONTROL_DT
 
 
 @dataclass(kw_only=True)

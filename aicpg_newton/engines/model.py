@@ -12,11 +12,11 @@ import torch
 import warp as wp
 from newton.solvers import SolverMuJoCo
 
-import aicpg_newton.warp_log  # noqa: F401
+import aicpg_newton.engines.warp_log  # noqa: F401
 from aicpg_newton.engines.interface import Physics
+from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
-from aicpg_newton.humanoid import FOOT_NAMES, GRAVITY, JOINT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors
-from aicpg_newton.terrain import Terrain
+from aicpg_newton.robot.humanoid import FOOT_NAMES, GRAVITY, JOINT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors
 
 ROOT_COORDINATES = 7
 """Position and quaternion of the free joint come first in Newton's joint coordinates."""

@@ -17,13 +17,12 @@ import numpy as np
 import torch
 from mujoco.rollout import Rollout
 
-from aicpg_newton import rotations
 from aicpg_newton.engines.interface import BodyState, Physics, RobotState
 from aicpg_newton.engines.model import ROOT_DOFS, build, make_solver
+from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
-from aicpg_newton.humanoid import FOOT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors, joint_index
-from aicpg_newton.kinematics import HEAD_CENTRE
-from aicpg_newton.terrain import Terrain
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import FOOT_NAMES, HEAD_CENTRE, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors, joint_index
 
 _TORSO, _HEAD = LINK_NAMES.index("torso"), LINK_NAMES.index("head")
 

@@ -11,13 +11,12 @@ import torch
 import warp as wp
 from mujoco_warp import OverflowType
 
-from aicpg_newton import rotations
 from aicpg_newton.engines import kernels
 from aicpg_newton.engines.interface import BodyState, Physics, RobotState
 from aicpg_newton.engines.model import ROOT_COORDINATES, ROOT_DOFS, build, make_solver
-from aicpg_newton.humanoid import FOOT_NAMES, LINK_NAMES, MJCF_PATH, Motors
-from aicpg_newton.kinematics import HEAD_CENTRE
-from aicpg_newton.terrain import Terrain
+from aicpg_newton.engines.terrain import Terrain
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import FOOT_NAMES, HEAD_CENTRE, LINK_NAMES, MJCF_PATH, Motors
 
 _BUFFERS = ~int(OverflowType.ITERATIONS | OverflowType.LS_ITERATIONS)
 """Bits of the solver's overflows that speak of buffers; the others of iterations that did not converge."""

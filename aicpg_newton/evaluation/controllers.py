@@ -9,12 +9,13 @@ from typing import Any
 
 import torch
 
-from aicpg_newton import checkpoint, metrics
-from aicpg_newton.cpg import DEFAULT_PATTERN, PatternNetwork
+from aicpg_newton.env.methods import condition, get_method, on_task
+from aicpg_newton.env.task import Task, task_from_dict
+from aicpg_newton.evaluation import metrics
 from aicpg_newton.evaluation.protocols import PROTOCOLS
 from aicpg_newton.evaluation.summaries import TRANSITION_FROUDE
-from aicpg_newton.methods import condition, get_method, on_task
-from aicpg_newton.task import Task, task_from_dict
+from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
+from aicpg_newton.learning import checkpoint
 
 
 @dataclass

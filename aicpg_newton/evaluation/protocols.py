@@ -7,8 +7,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from aicpg_newton.cpg import CONTROL_RATE
-from aicpg_newton.task import Pushes
+from aicpg_newton.env.task import Pushes
+from aicpg_newton.robot.humanoid import CONTROL_RATE
 
 FREQUENCIES = tuple(round(0.70 + 0.05 * i, 2) for i in range(15))
 """Stride frequencies 0.70 to 1.40 Hz (paper, Sec. III-A)."""

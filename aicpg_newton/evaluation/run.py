@@ -15,14 +15,13 @@ from typing import Any
 import torch
 
 import aicpg_newton
-from aicpg_newton import checkpoint, humanoid, metrics
 from aicpg_newton.device import resolve_device
 from aicpg_newton.engines import Engine
-from aicpg_newton.environment import Environment, engine_for
+from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
-from aicpg_newton.evaluation import records, summaries, terrain_summaries
+from aicpg_newton.evaluation import metrics, results, summaries, terrain_summaries
 from aicpg_newton.evaluation.controllers import Controller, ground_of
-from aicpg_newton.evaluation.playing import load_policy
 from aicpg_newton.evaluation.protocols import (
     COMMAND,
     DISTURBANCE,
@@ -34,9 +33,11 @@ from aicpg_newton.evaluation.protocols import (
     TRANSITION,
     Protocol,
 )
-from aicpg_newton.evaluation.recording import SHORTEST, WARM_UP, Recording, record
 from aicpg_newton.evaluation.summaries import Source
-from aicpg_newton.task import Task
+from aicpg_newton.evaluation.trajectories import SHORTEST, WARM_UP, Recording, record
+from aicpg_newton.learning import checkpoint
+from aicpg_newton.learning.policy import load_policy
+from aicpg_newton.robot import humanoid
 
 _IDLE = 1.0  # stride frequency of the rhythm generator where nothing follows it [Hz]
 
@@ -208,7 +209,7 @@ def evaluate(
         wanted.setdefault(SWEEP.name, SWEEP)  # whose curve the commands need
         check([SWEEP], controllers, laboratory)
     identity = identity_of(controllers, laboratory)
-    records.prepare(folder, wanted, identity)
+    results.prepare(folder, wanted, identity)
     for protocol in protocols:
         out = [controller.title for controller in controllers if controller not in _participants(protocol, controllers)]
         if out:
@@ -219,23 +220,23 @@ def evaluate(
             )
     for protocol in [wanted[name] for name in PROTOCOLS if name in wanted]:
         began = time.perf_counter()
-        rows: list[records.Row] = []
-        results = []
+        rows: list[results.Row] = []
+        entries = []
         for controller in _participants(protocol, controllers):
             files: list[Path | None] = [*protocol.pick(controller.files)] or [None]
             for file in files:
                 new, result = _one(protocol, controller, file, laboratory, folder)
                 rows += new
-                results.append(result)
+                entries.append(result)
         description = {
             "protocol": asdict(protocol),
             "controllers": identity,
             **laboratory.facts(),
             "definitions": _definitions(),
             "seconds": round(time.perf_counter() - began, 1),
-            "results": results,
+            "results": entries,
         }
-        records.write(folder, protocol.name, rows, description)
+        results.write(folder, protocol.name, rows, description)
 
 
 def identity_of(controllers: Sequence[Controller], laboratory: Laboratory) -> list[dict[str, Any]]:
@@ -253,18 +254,18 @@ def _participants(protocol: Protocol, controllers: Sequence[Controller]) -> list
 
 def _one(
     protocol: Protocol, controller: Controller, file: Path | None, laboratory: Laboratory, folder: Path
-) -> tuple[list[records.Row], dict[str, Any]]:
+) -> tuple[list[results.Row], dict[str, Any]]:
     """Rows and entry in ``results`` of one checkpoint."""
     content = None if file is None else checkpoint.read(file)
     iteration = 0 if content is None else int(content["iteration"])
     source = Source(controller.method, controller.seed, iteration, controller.condition, controller.gait)
     frequencies = torch.tensor(protocol.frequencies if controller.follows_frequency else (torch.nan,))
     reading = _READINGS.get(protocol.name)
-    rows: list[records.Row] = []
+    rows: list[results.Row] = []
     summary: dict[str, Any] = {}
     first, *others = laboratory.terrain_seeds
     if reading is None:
-        sweep = records.read_table(folder, SWEEP.name)
+        sweep = results.read_table(folder, SWEEP.name)
         speeds, given = summaries.commands(sweep, source, protocol.commanded_speeds)
         if len(speeds):
             frequencies = torch.from_numpy(given).float()
@@ -284,7 +285,7 @@ def _one(
     return rows, {**names, "iteration": iteration, **summary}
 
 
-_READINGS: dict[str, Callable[[Recording, torch.Tensor, Source], tuple[list[records.Row], dict[str, Any]]]] = {
+_READINGS: dict[str, Callable[[Recording, torch.Tensor, Source], tuple[list[results.Row], dict[str, Any]]]] = {
     SWEEP.name: summaries.sweep_rows,
     DISTURBANCE.name: summaries.disturbance_rows,
     TRANSITION.name: summaries.transition_rows,

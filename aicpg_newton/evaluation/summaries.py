@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from aicpg_newton import metrics
-from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE
+from aicpg_newton.evaluation import metrics
 from aicpg_newton.evaluation.protocols import COMMAND
-from aicpg_newton.evaluation.recording import SHORTEST, Recording, sole_clearance
-from aicpg_newton.evaluation.records import Row
+from aicpg_newton.evaluation.results import Row
+from aicpg_newton.evaluation.trajectories import SHORTEST, Recording, sole_clearance
+from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
 
 FLIGHT_THRESHOLD = 1.5 / 60
 """A window of 60 steps with a larger flight phase ratio has flight: two steps, as one may be a chance of sampling."""

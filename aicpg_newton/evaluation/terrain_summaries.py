@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE
 from aicpg_newton.evaluation.protocols import GAITS
-from aicpg_newton.evaluation.recording import Recording
-from aicpg_newton.evaluation.records import Row
+from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.summaries import Source, groups, steady_row
+from aicpg_newton.evaluation.trajectories import Recording
+from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
 
 SAMPLE = round(0.5 * CONTROL_RATE)
 """Steps from one row of a trajectory to the next: half a second."""

@@ -15,11 +15,11 @@ from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
+from aicpg_newton.env.style import reference_motion
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.discriminator import Discriminator, least_squares, reward_of, squared_gradient
 from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.replay import ReplayBuffer
-from aicpg_newton.style import reference_motion
 
 STYLE = "style"
 """Observation group that holds the style state, shape [num_envs, N]; neither actor nor critic sees it."""
@@ -44,7 +44,7 @@ class AdversarialMotionPriors(BoundedPPO):
         critic: Value network.
         storage: Rollouts; their observations hold the group :data:`STYLE`.
         reference: Pairs of reference states one control step apart, shape [samples, 2, N].
-        discriminator_hidden_sizes: See :class:`aicpg_newton.task.Imitation`, as for all up to ``task_reward_weight``.
+        discriminator_hidden_sizes: As all up to ``task_reward_weight``, see :class:`aicpg_newton.env.task.Imitation`.
         device: Device of all networks.
         **ppo: Settings of :class:`aicpg_newton.learning.ppo.BoundedPPO`.
     """

@@ -17,8 +17,8 @@ from tensordict import TensorDict
 from torch import nn
 from torch.distributions import Normal
 
-from aicpg_newton import observations
-from aicpg_newton.humanoid import MIRROR_PERMUTATION, MIRROR_SIGN
+from aicpg_newton.env import observations
+from aicpg_newton.robot.humanoid import MIRROR_PERMUTATION, MIRROR_SIGN
 
 Mirror = tuple[tuple[int, ...], tuple[float, ...]]
 """``mirrored[i] = sign[i] * original[permutation[i]]``: permutation and sign."""

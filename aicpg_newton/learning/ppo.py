@@ -12,8 +12,8 @@ from rsl_rl.extensions import Symmetry
 from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
 
+from aicpg_newton.env.task import Schedule
 from aicpg_newton.errors import UserError
-from aicpg_newton.task import Schedule
 
 _STEP = 1.5
 """Factor by which the learning rate goes up or down."""

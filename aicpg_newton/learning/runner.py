@@ -12,10 +12,10 @@ import torch
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
-from aicpg_newton import checkpoint
 from aicpg_newton.device import torch_threads
-from aicpg_newton.environment import Environment
+from aicpg_newton.env.environment import Environment
 from aicpg_newton.errors import UserError
+from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.settings import runner_settings
 
 

@@ -7,11 +7,11 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
-from aicpg_newton import observations
-from aicpg_newton.environment import Environment
-from aicpg_newton.humanoid import mirror_joints
-from aicpg_newton.methods import get_method
-from aicpg_newton.task import Task
+from aicpg_newton.env import observations
+from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.methods import get_method
+from aicpg_newton.env.task import Task
+from aicpg_newton.robot.humanoid import mirror_joints
 
 _EQUIVARIANT = "aicpg_newton.learning.equivariant"
 

@@ -11,11 +11,12 @@ from typing import Any
 
 import torch
 
-from aicpg_newton.cpg import CONTROL_RATE, PatternNetwork
 from aicpg_newton.device import finish, torch_threads
-from aicpg_newton.environment import Environment, engine_for
+from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.task import Task
+from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.task import Task
+from aicpg_newton.robot.humanoid import CONTROL_RATE
 
 FREQUENCIES = (0.9, 1.3)
 """A walk and a run [Hz], near the imitated clips'."""

@@ -13,15 +13,16 @@ import git
 import torch
 import yaml
 
-from aicpg_newton import checkpoint, humanoid
-from aicpg_newton.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.device import resolve_device, resolve_learner_device
 from aicpg_newton.engines import engine_name
-from aicpg_newton.environment import Environment, engine_for
+from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.methods import run_name
+from aicpg_newton.env.task import Task, plain, task_from_dict
 from aicpg_newton.errors import UserError
+from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
+from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.runner import Runner, TimeIsUp
-from aicpg_newton.methods import run_name
-from aicpg_newton.task import Task, plain, task_from_dict
+from aicpg_newton.robot import humanoid
 
 CONFIG_NAME = "config.yaml"
 

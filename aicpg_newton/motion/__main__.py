@@ -10,11 +10,11 @@ from pathlib import Path
 
 import tyro
 
-from aicpg_newton.cpg import fit_pattern_network
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.motion.acclaim import read_motion, read_skeleton
 from aicpg_newton.motion.cycles import gait_cycle
 from aicpg_newton.motion.figure import save_figure
+from aicpg_newton.motion.fit import fit_pattern_network
 from aicpg_newton.motion.retarget import flat_soles, retarget
 
 

@@ -7,16 +7,17 @@ bin of a 1.2 s clip is 0.8 Hz wide), and the cycle averages whole strides and th
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 
-from aicpg_newton import rotations
-from aicpg_newton.cpg import Gait, GaitCycle, fourier_basis
 from aicpg_newton.errors import UserError
-from aicpg_newton.humanoid import joint_index, mirror_joints
-from aicpg_newton.kinematics import sole_heights
+from aicpg_newton.gait.cpg import Gait, fourier_basis
 from aicpg_newton.motion.acclaim import FRAME_RATE
 from aicpg_newton.motion.retarget import RetargetedMotion, frame_times
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import joint_index, mirror_joints
+from aicpg_newton.robot.kinematics import sole_heights
 
 PHASES = 256
 """Samples of a cycle over one stride."""
@@ -32,6 +33,15 @@ _RIGHT_HIP, _LEFT_HIP = joint_index("right_hip_y"), joint_index("left_hip_y")
 _SLOWEST, _FASTEST = 0.3, 3.0  # stride frequencies of people [Hz]
 _GLITCH = math.radians(6.0)
 _ROOT_MIRROR = (1.0, -1.0, 1.0, -1.0, 1.0, -1.0)  # x, y, z, roll, pitch, yaw under a reflection in y
+
+
+@dataclass(frozen=True)
+class GaitCycle:
+    """One stride of a gait, what S learns."""
+
+    gait: Gait
+    angles: torch.Tensor
+    """Joint angles [rad] at evenly spaced phases from 0, shape [samples, 28]."""
 
 
 def remove_glitches(values: torch.Tensor) -> torch.Tensor:

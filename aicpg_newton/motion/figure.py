@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from aicpg_newton import rotations
-from aicpg_newton.cpg import CONTROL_DT, CONTROL_RATE, GaitCycle, PatternNetwork, rhythm_window
-from aicpg_newton.humanoid import LINK_NAMES, joint_index
-from aicpg_newton.kinematics import HEAD_CENTRE, forward_kinematics, skeleton
-from aicpg_newton.motion.cycles import evaluate_series, root_rotation
+from aicpg_newton.gait.cpg import PatternNetwork, rhythm_window
+from aicpg_newton.motion.cycles import GaitCycle, evaluate_series, root_rotation
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE, HEAD_CENTRE, LINK_NAMES, joint_index
+from aicpg_newton.robot.kinematics import forward_kinematics, skeleton
 
 FREQUENCIES = (0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4)
 """Stride frequencies shown [Hz]."""

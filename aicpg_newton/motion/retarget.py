@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import torch
 
-from aicpg_newton import rotations
 from aicpg_newton.errors import UserError
-from aicpg_newton.humanoid import NUM_JOINTS, joint_index
-from aicpg_newton.kinematics import skeleton as humanoid_skeleton
 from aicpg_newton.motion.acclaim import FRAME_RATE, Motion, Pose, Skeleton, pose
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import NUM_JOINTS, joint_index
+from aicpg_newton.robot.kinematics import skeleton as humanoid_skeleton
 
 HUMANOID_FROM_ACCLAIM = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
 """Acclaim's x left, y up, z forward become the humanoid's x forward, y left, z up."""

@@ -11,7 +11,7 @@ import torch
 import warp as wp
 from newton.sensors import SensorCamera
 
-from aicpg_newton import rotations
+from aicpg_newton.robot import rotations
 from aicpg_newton.viewing.stage import GROUND_COLOUR, Stage
 
 Window = tuple[slice, slice]

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
+from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
-from aicpg_newton.terrain import Terrain
 from aicpg_newton.viewing.camera import BACKGROUND, Photographer, checkerboard, facing, parallel_rays, relief
 from aicpg_newton.viewing.output import TEXT_COLOUR, writable_path
 from aicpg_newton.viewing.stage import Floor, Stage

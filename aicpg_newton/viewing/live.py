@@ -12,9 +12,9 @@ import newton.viewer
 import torch
 import warp as wp
 
-from aicpg_newton.cpg import CONTROL_RATE
+from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
-from aicpg_newton.terrain import Terrain
+from aicpg_newton.robot.humanoid import CONTROL_RATE
 from aicpg_newton.viewing.output import writable_path
 from aicpg_newton.viewing.stage import Floor, Stage
 

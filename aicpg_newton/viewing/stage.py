@@ -9,10 +9,10 @@ import numpy as np
 import torch
 import warp as wp
 
-import aicpg_newton.warp_log  # noqa: F401
-from aicpg_newton.humanoid import LINK_NAMES, MJCF_PATH, NUM_JOINTS
-from aicpg_newton.kinematics import forward_kinematics, sole_heights
-from aicpg_newton.terrain import Terrain
+import aicpg_newton.engines.warp_log  # noqa: F401
+from aicpg_newton.engines.terrain import Terrain
+from aicpg_newton.robot.humanoid import LINK_NAMES, MJCF_PATH, NUM_JOINTS
+from aicpg_newton.robot.kinematics import forward_kinematics, sole_heights
 
 RIGHT_COLOUR = (0.84, 0.33, 0.16)
 """sRGB of the right limbs (vermilion); beside the blue it stays apart for colour-blind eyes and in grey prints."""

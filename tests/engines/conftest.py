@@ -5,8 +5,8 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from aicpg_newton.kinematics import sole_corners
-from aicpg_newton.terrain import Terrain
+from aicpg_newton.engines.terrain import Terrain
+from aicpg_newton.robot.kinematics import sole_corners
 
 SPACING = 41
 """Points along and across a sole, 4 and 2 mm apart."""

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from aicpg_newton import humanoid
-from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.engines import BodyState, Physics, make_engine
-from aicpg_newton.environment import Environment
+from aicpg_newton.engines.terrain import Ground
+from aicpg_newton.env.environment import Environment
+from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.training import RunOptions, train
-from aicpg_newton.terrain import Ground
+from aicpg_newton.robot import humanoid
 from tasks import get_task
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

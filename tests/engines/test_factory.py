@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from aicpg_newton.engines import Physics, make_engine
+from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.errors import UserError
-from aicpg_newton.humanoid import motors
-from aicpg_newton.terrain import Ground, Terrain
+from aicpg_newton.robot.humanoid import motors
 
 
 def test_unknown_engine_lists_the_choices() -> None:

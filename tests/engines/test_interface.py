@@ -9,12 +9,21 @@ import mujoco
 import pytest
 import torch
 
-from aicpg_newton import rotations
-from aicpg_newton.cpg import CONTROL_DT, pd_torque
 from aicpg_newton.engines import ENGINES, BodyState, Engine, Physics, RobotState
-from aicpg_newton.humanoid import GRAVITY, LINK_NAMES, MJCF_PATH, NUM_JOINTS, TOTAL_MASS, joint_index, motors
-from aicpg_newton.kinematics import forward_kinematics, skeleton
-from aicpg_newton.terrain import Ground, Terrain
+from aicpg_newton.engines.terrain import Ground, Terrain
+from aicpg_newton.gait.cpg import pd_torque
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import (
+    CONTROL_DT,
+    GRAVITY,
+    LINK_NAMES,
+    MJCF_PATH,
+    NUM_JOINTS,
+    TOTAL_MASS,
+    joint_index,
+    motors,
+)
+from aicpg_newton.robot.kinematics import forward_kinematics, skeleton
 
 NUM_ENVS = 4
 STANDING_HEIGHT = 0.8815

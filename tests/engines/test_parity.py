@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from aicpg_newton.engines import ENGINES, BodyState, Physics, RobotState
-from aicpg_newton.humanoid import NUM_JOINTS, motors
-from aicpg_newton.kinematics import skeleton
-from aicpg_newton.terrain import Ground, Terrain
+from aicpg_newton.engines.terrain import Ground, Terrain
+from aicpg_newton.robot.humanoid import NUM_JOINTS, motors
+from aicpg_newton.robot.kinematics import skeleton
 
 NUM_ENVS = 32
 STEPS = 15  # 0.25 s

@@ -7,12 +7,11 @@ import pytest
 import torch
 import warp as wp
 
-from aicpg_newton import rotations
-from aicpg_newton.cpg import CONTROL_DT
 from aicpg_newton.engines import ENGINES, BodyState, Engine, Physics, kernels
-from aicpg_newton.humanoid import FOOT_NAMES, GRAVITY, NUM_JOINTS, TOTAL_MASS, joint_index, motors
-from aicpg_newton.kinematics import forward_kinematics, skeleton, sole_heights
-from aicpg_newton.terrain import Ground, Terrain
+from aicpg_newton.engines.terrain import Ground, Terrain
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import CONTROL_DT, FOOT_NAMES, GRAVITY, NUM_JOINTS, TOTAL_MASS, joint_index, motors
+from aicpg_newton.robot.kinematics import forward_kinematics, skeleton, sole_heights
 
 NUM_ENVS = 32
 STANDING_HEIGHT = 0.8815

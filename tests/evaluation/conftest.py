@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aicpg_newton import humanoid
-from aicpg_newton.terrain import Terrain
+from aicpg_newton.engines.terrain import Terrain
+from aicpg_newton.robot import humanoid
 
 
 @pytest.fixture

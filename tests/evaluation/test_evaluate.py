@@ -10,15 +10,15 @@ import pytest
 import torch
 
 from aicpg_newton import evaluate as command_line
-from aicpg_newton import humanoid
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluate import EvaluateOptions, main
-from aicpg_newton.evaluation import records
+from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation import run as running
 from aicpg_newton.evaluation.controllers import cpg_alone, trained
 from aicpg_newton.evaluation.protocols import PROTOCOLS
 from aicpg_newton.evaluation.run import Laboratory, evaluate
 from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.robot import humanoid
 from tasks import get_task
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,14 +57,14 @@ def test_the_cpg_alone_with_all_protocols(tmp_path: Path, capsys: pytest.Capture
     main(EvaluateOptions(agent="zero", num_envs=6, device="cpu", seed=2, out=out))
     assert not (out / "terrain.csv").exists() and not (out / "training.csv").exists()
     for name in ("sweep", "disturbance", "transition", "command"):
-        rows, content = records.read_table(out, name), records.read_description(out, name)
+        rows, content = results.read_table(out, name), results.read_description(out, name)
         assert rows and {row["method"] for row in rows} == {"CPG alone"}
         for row in rows:
             assert row["reason"] or all(value == value for value in row.values())
             assert row.get("condition", "") == ""
         assert content["engine"] == "mujoco" and content["device"] == "cpu" and content["seed"] == 2
         assert content["environments"] == 6 and {"torch", "newton", "python"} <= set(content["versions"])
-    sweep = records.read_table(out, "sweep")
+    sweep = results.read_table(out, "sweep")
     assert [row["frequency_hz"] for row in sweep] == pytest.approx([0.7, 1.05, 1.4])
     assert all(row["falls_per_minute"] > 0 for row in sweep)
     drawn = {path.name: path.read_bytes() for path in out.glob("*.png")}
@@ -88,12 +88,12 @@ def test_a_run_folder_and_another_seed(run_folder: Path, tmp_path: Path):
         "out": tmp_path / "out",
     }
     main(EvaluateOptions(protocol="sweep", **options))
-    assert {(row["method"], row["seed"]) for row in records.read_table(tmp_path / "out", "sweep")} == {
+    assert {(row["method"], row["seed"]) for row in results.read_table(tmp_path / "out", "sweep")} == {
         ("AI-CPG", 5.0),
         ("AI-CPG", 6.0),
     }
     main(EvaluateOptions(protocol="disturbance", **options))
-    rows = records.read_table(tmp_path / "out", "disturbance")
+    rows = results.read_table(tmp_path / "out", "disturbance")
     iterations = {row["iteration"] for row in rows if row["seed"] == 5.0}
     assert len(iterations) == len(list(run_folder.glob("model_*.pt"))) >= 2
     assert len(rows) == 3 * (len(iterations) + 1)

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from aicpg_newton.engines import Physics, make_engine
-from aicpg_newton.environment import Environment
+from aicpg_newton.engines.terrain import Ground, Terrain
+from aicpg_newton.env.environment import Environment
 from aicpg_newton.evaluation import summaries
 from aicpg_newton.evaluation.protocols import (
     COMMAND,
@@ -21,12 +22,11 @@ from aicpg_newton.evaluation.protocols import (
     TRANSITION,
     Protocol,
 )
-from aicpg_newton.evaluation.recording import Recording, record
-from aicpg_newton.evaluation.rollout import share_out
 from aicpg_newton.evaluation.summaries import Source
-from aicpg_newton.humanoid import motors
-from aicpg_newton.kinematics import sole_heights
-from aicpg_newton.terrain import Ground, Terrain
+from aicpg_newton.evaluation.trajectories import Recording, record
+from aicpg_newton.playing.rollout import share_out
+from aicpg_newton.robot.humanoid import motors
+from aicpg_newton.robot.kinematics import sole_heights
 from tasks import get_task
 
 SOURCE = Source("AI-CPG", 3, 100)

@@ -9,19 +9,20 @@ import pytest
 import torch
 
 from aicpg_newton import evaluate as command_line
-from aicpg_newton.environment import Environment
+from aicpg_newton.engines.terrain import Terrain
+from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.methods import with_method
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluate import EvaluateOptions, main
-from aicpg_newton.evaluation import figures, records, terrain_summaries
+from aicpg_newton.evaluation import results, terrain_summaries
 from aicpg_newton.evaluation import run as running
 from aicpg_newton.evaluation.controllers import trained
 from aicpg_newton.evaluation.protocols import PROTOCOLS, TRAINING
-from aicpg_newton.evaluation.recording import record
 from aicpg_newton.evaluation.summaries import Source
+from aicpg_newton.evaluation.trajectories import record
+from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.methods import with_method
-from aicpg_newton.task import Task
-from aicpg_newton.terrain import Terrain
 from tasks import get_task
 
 
@@ -78,7 +79,7 @@ def test_walking_and_running_on_unseen_terrain(make_run, worlds: list[Task], tmp
     runs = make_run("cpg", strips), make_run("slow", ppo("uneven", 1.5)), make_run("fast", ppo("uneven", 3.0))
     out = tmp_path / "out"
     main(options(out, *runs, task="uneven", protocol="terrain", terrain_seed=(11, 12)))
-    rows = records.read_table(out, "terrain")
+    rows = results.read_table(out, "terrain")
     told = [(row["method"], row["condition"], row["gait"], row["terrain_seed"], row["reason"]) for row in rows]
     assert told == [
         *(("AI-CPG", "", gait, seed, "") for seed in (11, 12) for gait in ("walking", "running")),
@@ -97,7 +98,7 @@ def test_walking_and_running_on_unseen_terrain(make_run, worlds: list[Task], tmp
     ]
     first, second = (Terrain.make(task.ground) for task in worlds[:2])
     assert first is not None and second is not None and (first.heights - second.heights).abs().mean() > 0.01
-    content = records.read_description(out, "terrain")
+    content = results.read_description(out, "terrain")
     assert content["controllers"][0]["ground"]["terrain_seeds"] == [11, 12]
     walking, running_too = content["results"][0]["over_terrains"]
     assert walking["gait"] == "walking" and running_too["speed_mps"]["mean"] == pytest.approx(2.25, rel=1e-3)
@@ -131,7 +132,7 @@ def test_terrain_is_part_of_everything_where_the_ground_is_uneven(
     """And a training never is."""
     asked: list[str] = []
     monkeypatch.setattr(command_line, "evaluate", lambda protocols, *_: asked.extend(each.name for each in protocols))
-    monkeypatch.setattr(figures, "draw_all", lambda *_: [])
+    monkeypatch.setattr(command_line, "draw_all", lambda *_: [])
     main(EvaluateOptions(agent="zero", task=ground, device="cpu", out=tmp_path))
     assert asked == ["sweep", "disturbance", "transition", "command", *more]
 
@@ -167,7 +168,7 @@ def test_a_whole_training(make_run, worlds: list[Task], monkeypatch: pytest.Monk
     out = tmp_path / "out"
     main(options(out, run, other, protocol="training"))
     assert len(made) == 14
-    rows = records.read_table(out, "training")
+    rows = results.read_table(out, "training")
     mine = [row for row in rows if row["method"] == "AI-CPG"]
     iterations = sorted({row["iteration"] for row in mine})
     assert len(iterations) == 12 and (iterations[0], iterations[-1]) == (1, 141)
@@ -179,7 +180,7 @@ def test_a_whole_training(make_run, worlds: list[Task], monkeypatch: pytest.Monk
     assert [row["x_m"] for row in way] == pytest.approx([2.5 * (30 * i - 1) / 60 for i in range(1, 6)], abs=1e-3)
     assert [row["vx_mps"] for row in way] == pytest.approx([2.5] * 5, abs=1e-3)
     assert (out / "figure_5a.png").exists()
-    checkpoints = records.read_description(out, "training")["controllers"][0]["checkpoints"]
+    checkpoints = results.read_description(out, "training")["controllers"][0]["checkpoints"]
     assert {"model_0.pt", "model_140.pt"} <= {each["file"] for each in checkpoints}
     with pytest.raises(UserError, match=r"AI-CPG, seed 0 has no more than one; give --checkpoint its run folder"):
         main(options(tmp_path / "single", run / "model_10.pt", protocol="training"))
@@ -207,7 +208,7 @@ def test_baselines_have_one_condition(make_run, worlds: list[Task], tmp_path: Pa
     run = make_run("style", with_method(get_task("flat"), "amp:run"))
     out = tmp_path / "out"
     main(options(out, slow, fast, run))  # four environments: enough where there is but one condition
-    sweep, disturbance = records.read_table(out, "sweep"), records.read_table(out, "disturbance")
+    sweep, disturbance = results.read_table(out, "sweep"), results.read_table(out, "disturbance")
     for rows in (sweep, disturbance):
         assert [(row["method"], row["condition"]) for row in rows] == [("PPO", "1.5"), ("PPO", "3.0"), ("AMP", "run")]
         assert all(math.isnan(row["frequency_hz"]) and row["reason"] == "" for row in rows)
@@ -224,7 +225,7 @@ def test_baselines_have_one_condition(make_run, worlds: list[Task], tmp_path: Pa
         main(options(tmp_path / "twice", slow, slow, protocol="sweep"))
     cpg = make_run("cpg", get_task("flat"))
     main(options(tmp_path / "mixed", slow, cpg, protocol="transition"))
-    assert {row["method"] for row in records.read_table(tmp_path / "mixed", "transition")} == {"AI-CPG"}
+    assert {row["method"] for row in results.read_table(tmp_path / "mixed", "transition")} == {"AI-CPG"}
     assert "left out, as they follow none: PPO 1.5, seed 0." in capsys.readouterr().err
 
 
@@ -243,7 +244,7 @@ def test_checkpoints_of_different_ground_need_a_task(make_run, worlds: list[Task
         main(options(tmp_path / "out", *runs, protocol="transition"))
     main(options(tmp_path / "out", *runs, protocol="transition", task="flat"))
     assert len(worlds) == 1 and worlds[0].ground.height_range == 0.0
-    assert [path.name for path in figures.draw_all([tmp_path / "out"], tmp_path)] == [
+    assert [path.name for path in draw_all([tmp_path / "out"], tmp_path)] == [
         "figure_4_ai_cpg.png",
         "figure_6.png",
     ]

@@ -12,11 +12,11 @@ from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
-from aicpg_newton.cpg import PatternNetwork
+from aicpg_newton.env.style import STYLE_SIZE, reference_motion
+from aicpg_newton.env.task import Imitation
 from aicpg_newton.errors import UserError
+from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.amp import AdversarialMotionPriors
-from aicpg_newton.style import STYLE_SIZE, reference_motion
-from aicpg_newton.task import Imitation
 
 STEPS, NUM_ENVS = 8, 16
 

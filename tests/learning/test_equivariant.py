@@ -7,10 +7,11 @@ import torch
 from rsl_rl.modules import MLP
 from tensordict import TensorDict
 
-from aicpg_newton import checkpoint, observations
-from aicpg_newton.cpg import PatternNetwork
-from aicpg_newton.environment import Environment
-from aicpg_newton.humanoid import MIRROR_PERMUTATION, mirror_joints
+from aicpg_newton.env import observations
+from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.task import Task
+from aicpg_newton.gait.cpg import PatternNetwork
+from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.equivariant import (
     JOINTS,
     EquivariantMLP,
@@ -21,7 +22,7 @@ from aicpg_newton.learning.equivariant import (
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.settings import runner_settings
 from aicpg_newton.learning.training import RunOptions, train
-from aicpg_newton.task import Task
+from aicpg_newton.robot.humanoid import MIRROR_PERMUTATION, mirror_joints
 from tasks import get_task
 
 

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 import torch
 
-from aicpg_newton.cpg import PatternNetwork
-from aicpg_newton.environment import Environment
+from aicpg_newton.env.environment import Environment
 from aicpg_newton.errors import UserError
+from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.ppo import BoundedPPO, MirrorImages, Runaway
 from aicpg_newton.learning.runner import Runner
 from tasks import get_task

@@ -4,10 +4,10 @@ import torch
 from rsl_rl.modules import MLP
 from tensordict import TensorDict
 
-from aicpg_newton import observations
-from aicpg_newton.humanoid import mirror_joints
+from aicpg_newton.env import observations
+from aicpg_newton.env.task import Learning, Task
 from aicpg_newton.learning.settings import runner_settings, with_mirror_images
-from aicpg_newton.task import Learning, Task
+from aicpg_newton.robot.humanoid import mirror_joints
 
 
 def test_mirror_images_follow_the_originals():

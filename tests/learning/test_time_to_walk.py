@@ -5,11 +5,11 @@ import time
 import pytest
 import torch
 
-from aicpg_newton import checkpoint
-from aicpg_newton.cpg import PatternNetwork
+from aicpg_newton.env.task import Task, task_from_dict
+from aicpg_newton.gait.cpg import PatternNetwork
+from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning import time_to_walk as walking
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.task import Task, task_from_dict
 from tasks import get_task
 
 CPU = torch.device("cpu")

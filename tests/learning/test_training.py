@@ -12,15 +12,16 @@ import yaml
 from rsl_rl.algorithms import PPO
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from aicpg_newton import checkpoint, humanoid
-from aicpg_newton.cpg import PatternNetwork
 from aicpg_newton.device import torch_threads
-from aicpg_newton.environment import Environment, engine_for
+from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.methods import with_method
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
+from aicpg_newton.gait.cpg import PatternNetwork
+from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.training import RunOptions, task_of, train, with_networks_of
-from aicpg_newton.methods import with_method
-from aicpg_newton.task import Task
+from aicpg_newton.robot import humanoid
 from tasks import get_task
 
 

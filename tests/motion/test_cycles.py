@@ -7,9 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aicpg_newton import rotations
 from aicpg_newton.errors import UserError
-from aicpg_newton.humanoid import joint_index, mirror_joints
 from aicpg_newton.motion.acclaim import read_motion, read_skeleton
 from aicpg_newton.motion.cycles import (
     PHASES,
@@ -22,6 +20,8 @@ from aicpg_newton.motion.cycles import (
     stride_frequency,
 )
 from aicpg_newton.motion.retarget import flat_soles, retarget
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import joint_index, mirror_joints
 
 RIGHT_HIP, LEFT_HIP, KNEE = (joint_index(name) for name in ("right_hip_y", "left_hip_y", "right_knee"))
 

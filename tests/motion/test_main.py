@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from aicpg_newton.cpg import PatternNetwork, fit_pattern_network
 from aicpg_newton.errors import UserError
+from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.motion import __main__ as command
 from aicpg_newton.motion.__main__ import Fit, fit
+from aicpg_newton.motion.fit import fit_pattern_network
 
 
 @pytest.fixture

@@ -5,12 +5,12 @@ import math
 import pytest
 import torch
 
-from aicpg_newton import rotations
 from aicpg_newton.errors import UserError
-from aicpg_newton.humanoid import JOINT_NAMES, joint_index
-from aicpg_newton.kinematics import skeleton as humanoid_skeleton
 from aicpg_newton.motion.acclaim import read_motion, read_skeleton
 from aicpg_newton.motion.retarget import euler_xyz, flat_soles, retarget
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import JOINT_NAMES, joint_index
+from aicpg_newton.robot.kinematics import skeleton as humanoid_skeleton
 
 ARMS_DOWN = {"lhumerus": (0.0, 0.0, 90.0), "rhumerus": (0.0, 0.0, -90.0)}
 

@@ -1,0 +1,287 @@
+"""One control step in order: motor command, physics, phase, falls, rewards, resets, observations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+
+from aicpg_newton.engines import BodyState, Engine, RobotState, make_engine
+from aicpg_newton.env import observations, rewards
+from aicpg_newton.env.methods import get_method
+from aicpg_newton.env.task import Task
+from aicpg_newton.errors import UserError
+from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
+from aicpg_newton.robot import rotations
+from aicpg_newton.robot.humanoid import CONTROL_DT, NUM_JOINTS
+from aicpg_newton.robot.kinematics import sole_corners
+
+
+@dataclass
+class StepOutcome:
+    """What a control step led to, before any environment was reset; each tensor has shape [num_envs, ...]."""
+
+    state: RobotState
+    """Robot state at the end of the step."""
+    phase: torch.Tensor
+    """Phase of the rhythm generator at the end of the step [rad], shape [num_envs]."""
+    reflex_torque: torch.Tensor
+    """Torque that the network asked for in the step, tau_r [N m], shape [num_envs, 28]."""
+    ground_height: torch.Tensor
+    """World height of the ground below the pelvis [m], shape [num_envs]."""
+    reward_terms: dict[str, torch.Tensor]
+    """Weighted and scaled reward terms; zero where the robot fell."""
+    fallen: torch.Tensor
+    """Fell, or left the finite numbers."""
+    off_course: torch.Tensor
+    """Turned too far from the target without falling."""
+    timed_out: torch.Tensor
+    """Reached the end of the episode or the edge of the terrain, without failing."""
+
+
+class Environment(VecEnv):
+    """Humanoids controlled by a network, for AI-CPG on top of a pattern network; rsl_rl's ``VecEnv``.
+
+    Args:
+        task: What is to be learned.
+        engine: Physics of ``num_envs`` humanoids and the ground they are on, from :func:`engine_for` the same task.
+        pattern: The pattern network S.
+        seed: Seed of start states, places and pushes.
+    """
+
+    def __init__(self, task: Task, engine: Engine, pattern: PatternNetwork, *, seed: int = 0) -> None:
+        task.validate()
+        self.task = task
+        self.engine = engine
+        self.num_envs = engine.num_envs
+        self.num_actions = NUM_JOINTS
+        self.device = engine.device
+        self.max_episode_length = task.termination.episode_steps
+        self.cfg = asdict(task)
+        self.pattern = pattern.to(self.device)
+        method = get_method(task.method)
+        self.motors = method.motors().to(self.device)
+        self._generator = torch.Generator(device=self.device).manual_seed(seed)
+
+        n, zeros = self.num_envs, torch.zeros(self.num_envs, device=self.device)
+        share = (torch.arange(n, device=self.device) + 0.5) / n
+        span = task.frequencies.maximum - task.frequencies.minimum
+        self.frequency = task.frequencies.minimum + span * share
+        """Stride frequency f of each environment [Hz], shape [num_envs]; may be changed between any two steps."""
+        self.target_heading = zeros.clone()
+        """Yaw of the target direction in the world [rad], shape [num_envs]."""
+        self.phase = zeros.clone()
+        self.level = torch.zeros(n, dtype=torch.long, device=self.device)
+        """Level of the terrain that each robot starts its next episode on, shape [num_envs]."""
+        self.episode_length_buf = torch.zeros(n, dtype=torch.long, device=self.device)
+        self.actuation = method.actuation(task, self.pattern, self.motors, n, self._generator)
+        """What turns actions into motor commands."""
+        self._flat = zeros
+        self._weights = {name: task.rewards.scale * weight for name, weight in asdict(task.rewards.weights).items()}
+        self._push = torch.zeros(n, 3, device=self.device)
+        self._push_clock = self._uniform(0.0, max(task.pushes.interval, CONTROL_DT))
+        # Not episode_length_buf: the runner starts that at random numbers to spread the first time-outs.
+        self._episode_steps = zeros.clone()
+        self._episode_rewards: dict[str, torch.Tensor] = {}
+        self.reset(torch.ones(n, dtype=torch.bool, device=self.device))
+
+    @torch.no_grad()
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
+        """Advance every environment by 1/60 s; see :class:`rsl_rl.env.VecEnv`.
+
+        Args:
+            actions: Actions of the network, shape [num_envs, 28].
+
+        Returns:
+            Observations, rewards [num_envs], dones [num_envs] and extras. The outcome before resets is in
+            :attr:`outcome`.
+
+        Raises:
+            UserError: An action is not finite: the policy has diverged.
+        """
+        if not torch.isfinite(actions).all():
+            raise UserError("the policy gave actions that are not finite; resume from an earlier checkpoint")
+        self.engine.step(*self.actuation.command(actions, self.engine.state), push=self._pushes())
+        self.phase = advance_phase(self.phase, self.frequency)
+        self.actuation.follow(self.phase, self.frequency)
+        self.episode_length_buf += 1
+
+        self.outcome = self._judge(self.engine.state)
+        reward = torch.stack(list(self.outcome.reward_terms.values())).sum(dim=0)
+        failed = self.outcome.fallen | self.outcome.off_course
+        dones = failed | self.outcome.timed_out
+        self._episode_steps += 1
+        self._move_between_levels(failed, self.outcome.timed_out)
+        extras = {"time_outs": self.outcome.timed_out, "log": self._log(dones)}
+        self.reset(dones)
+        return self.get_observations(), reward, dones.to(torch.long), extras
+
+    def _judge(self, state: RobotState) -> StepOutcome:
+        """Falls and reward terms of a state."""
+        limits = self.task.termination
+        ground = self._ground_height(state.root_position)
+        upright = rewards.upright(state.root_rotation)
+        fallen = ~state.finite() | (state.root_position[:, 2] - ground < limits.minimum_height)
+        fallen |= upright < math.cos(math.radians(limits.maximum_tilt))
+        heading_cosine = torch.cos(rotations.yaw(state.root_rotation) - self.target_heading)
+        off_course = ~fallen & (heading_cosine < math.cos(math.radians(limits.maximum_heading)))
+        failed = fallen | off_course
+        timed_out = self.episode_length_buf >= self.max_episode_length
+        if self.engine.terrain is not None:
+            timed_out = timed_out | ~self.engine.terrain.inside(state.root_position)
+
+        direction = torch.stack((torch.cos(self.target_heading), torch.sin(self.target_heading)), dim=1)
+        terms = {
+            "head_height": rewards.head_height(state.head_position, self._ground_height(state.head_position)),
+            "reflex_energy": rewards.reflex_energy(
+                self.actuation.torque, state.joint_velocity, self.motors.torque_limit
+            ),
+            "survival": rewards.survival(state.root_position),
+            "upright": upright,
+            "target_velocity": rewards.target_velocity(state.root_linear_velocity, direction),
+            "sideways_speed": rewards.sideways_speed(state.root_linear_velocity, direction),
+            **self.actuation.reward(state, direction),
+        }
+        return StepOutcome(
+            state=state,
+            phase=self.phase,
+            reflex_torque=self.actuation.torque,
+            ground_height=ground,
+            # A fall sets the step's whole reward to zero (paper, Sec. II-A.2).
+            reward_terms={name: (self._weights[name] * term).masked_fill(failed, 0.0) for name, term in terms.items()},
+            fallen=fallen,
+            off_course=off_course,
+            timed_out=timed_out & ~failed,
+        )
+
+    def _ground_height(self, point: torch.Tensor) -> torch.Tensor:
+        """World height of the ground below points [m], shape [num_envs, 3] to [num_envs]."""
+        return self._flat if self.engine.terrain is None else self.engine.terrain.height(point)
+
+    def _move_between_levels(self, failed: torch.Tensor, lasted: torch.Tensor) -> None:
+        """Curriculum: robots that lasted half an episode or more go on to rougher ground, robots that failed go back.
+
+        A robot may come to the edge early, and the runner begins with episodes that are nearly over.
+        """
+        long = self._episode_steps >= 0.5 * self.max_episode_length
+        step = (lasted & long).long() - failed.long()
+        self.level = (self.level + step).clamp(0, self.task.ground.levels - 1)
+
+    def _log(self, dones: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Episode means of the reward terms where an episode ended, and the speed of the slow and the fast third."""
+        for name, term in self.outcome.reward_terms.items():
+            self._episode_rewards[name] = self._episode_rewards.get(name, 0.0) + term
+        log: dict[str, torch.Tensor] = {}
+        if dones.any():
+            for name, total in self._episode_rewards.items():
+                log[f"Episode_Reward/{name}"] = (total[dones] / self._episode_steps[dones]).mean()
+                total[dones] = 0.0
+            self._episode_steps[dones] = 0.0
+            log["Episode_End/fallen"] = self.outcome.fallen[dones].float().mean()
+            log["Episode_End/off_course"] = self.outcome.off_course[dones].float().mean()
+        speed = torch.nan_to_num(self.outcome.state.root_linear_velocity[:, 0])
+        third = max(1, self.num_envs // 3)
+        if self.task.ground.levels > 1:
+            log["Curriculum/level"] = self.level.float().mean()
+        log["Speed/lowest_third_of_f"] = speed[:third].mean()
+        log["Speed/highest_third_of_f"] = speed[-third:].mean()
+        return log
+
+    def get_observations(self) -> TensorDict:
+        """Current observations: under ``policy`` the network's, shape [num_envs, 192] (136 without a CPG).
+
+        Where a discriminator judges the style, also under ``style``, shape [num_envs, 81].
+        """
+        state = self.engine.state
+        ground = self._ground_height(state.root_position)
+        observed = observations.observe(
+            state,
+            ground_height=ground,
+            torque=self.actuation.torque,
+            torque_limit=self.motors.torque_limit,
+            target_heading=self.target_heading,
+            control=self.actuation.observe(state),
+        )
+        style = self.actuation.style(state, ground)
+        seen = {"policy": observed} if style is None else {"policy": observed, "style": style}
+        return TensorDict(seen, batch_size=[self.num_envs], device=self.device)
+
+    def restart(self, frequency: torch.Tensor) -> None:
+        """Start new episodes in all environments, at these stride frequencies [Hz], shape [num_envs]."""
+        self.frequency = frequency
+        self.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+
+    @torch.no_grad()
+    def reset(self, mask: torch.Tensor) -> None:
+        """Start new episodes: a random phase of the gait, its joint velocities, half to full forward speed.
+
+        On terrain a robot starts anywhere in the starting area of its level, standing on the surface.
+
+        Args:
+            mask: Environments to reset, bool, shape [num_envs].
+        """
+        rows = mask.nonzero().squeeze(1)
+        if rows.numel() == 0:
+            return
+        self.phase = torch.where(mask, self._uniform(0.0, 2 * math.pi), self.phase)
+        self.actuation.follow(self.phase, self.frequency)
+        speed_share = self._uniform(self.task.resets.minimum_speed, self.task.resets.maximum_speed)
+        start = self.actuation.start(self.phase[rows], self.frequency[rows], speed_share[rows])
+        self._place(start, rows)
+        spread = {
+            name: value.new_zeros(self.num_envs, value.shape[1]).index_copy(0, rows, value)
+            for name, value in vars(start).items()
+        }
+        self.engine.reset(mask, BodyState(**spread))
+        self.actuation.forget(mask)
+        self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
+
+    def _place(self, start: BodyState, rows: torch.Tensor) -> None:
+        """Move start states from flat ground at the origin to a place on the terrain, no sole below the surface."""
+        terrain = self.engine.terrain
+        if terrain is None:
+            return
+        share = torch.stack((self._uniform(0.0, 1.0), self._uniform(0.0, 1.0)), dim=1)
+        position = start.root_position.clone()
+        position[:, :2] += terrain.starts(self.level, share)[rows]
+        position[:, 2] += terrain.height(position)
+        soles = sole_corners(position, start.root_rotation, start.joint_position).flatten(1, 2)
+        position[:, 2] += (terrain.height(soles) - soles[..., 2]).amax(dim=1).clamp_min(0.0)
+        start.root_position = position
+
+    def _pushes(self) -> torch.Tensor | None:
+        """Force on the torso for this step [N], shape [num_envs, 3]; None where the task has no pushes."""
+        pushes = self.task.pushes
+        if pushes.force == 0.0:
+            return None
+        half_a_step = 0.5 * CONTROL_DT  # so that rounding decides nothing
+        due = self._push_clock >= pushes.interval - half_a_step
+        self._push_clock = torch.where(due, 0.0, self._push_clock)
+        axes = [self._uniform(-pushes.force, pushes.force) for _ in range(3)]
+        self._push = torch.where(due.unsqueeze(1), torch.stack(axes, dim=1), self._push)
+        active = self._push_clock < pushes.duration - half_a_step
+        self._push_clock = self._push_clock + CONTROL_DT
+        return self._push * active.unsqueeze(1)
+
+    def _uniform(self, low: float, high: float) -> torch.Tensor:
+        """Random numbers in [low, high), shape [num_envs]."""
+        return low + (high - low) * torch.rand(self.num_envs, generator=self._generator, device=self.device)
+
+
+def engine_for(task: Task, name: str, num_envs: int, device: torch.device | str) -> Engine:
+    """The engine with a task's physics and ground and its method's motors.
+
+    Args:
+        task: What is to be learned.
+        name: ``newton``, ``mujoco`` or ``auto``.
+        num_envs: Number of humanoids.
+        device: Torch device, ``cuda:0`` or ``cpu``.
+
+    Raises:
+        UserError: As :func:`make_engine`, or a setting is out of its range.
+    """
+    task.validate()
+    return make_engine(name, num_envs, device, get_method(task.method).motors(), task.physics, task.ground)

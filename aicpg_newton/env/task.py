@@ -1,0 +1,368 @@
+"""What is to be learned, as data: the dataclasses that the files in ``tasks/`` fill in.
+
+Every field can be read in the run's ``config.yaml`` and changed on the command line; its docstring is the help text.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import typing
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from aicpg_newton.engines.interface import Physics
+from aicpg_newton.engines.terrain import Ground
+from aicpg_newton.env.rewards import PatternError
+from aicpg_newton.errors import UserError
+
+Schedule = Literal["iteration", "minibatch", "fixed"]
+"""When the learning rate is adapted to the KL divergence."""
+
+
+@dataclass(kw_only=True)
+class Frequencies:
+    """Stride frequencies f, spread evenly over the environments; each keeps its own."""
+
+    minimum: float = 0.8
+    """Lowest f [Hz] (paper, Sec. III-A)."""
+    maximum: float = 1.4
+    """Highest f [Hz] (paper, Sec. III-A)."""
+
+
+@dataclass(kw_only=True)
+class RewardWeights:
+    """Factor of each reward term; the sum is Eq. 5. Logged as Episode_Reward/<name>, weighted, per step."""
+
+    head_height: float = 1.0
+    """R_h, height of the head [m]."""
+    reflex_energy: float = -0.5
+    """-alpha R_e, effort of the reflex."""
+    survival: float = 1.0
+    """R_a."""
+    upright: float = 1.0
+    """R_s."""
+    target_velocity: float = 1.0
+    """R_d, velocity in the target direction [m/s]."""
+    pattern_tracking: float = 5.0
+    """beta R_g, following the CPG."""
+    target_speed: float = 5.0
+    """beta R_t, which the PPO baseline has in place of R_g."""
+    sideways_speed: float = -0.5
+    """Cost on sideways speed [m/s]; not in the paper (0 there), keeps the path straight."""
+
+
+@dataclass(kw_only=True)
+class Rewards:
+    """Reward of Eq. 5-8."""
+
+    weights: RewardWeights = field(default_factory=RewardWeights)
+    """Factor of each term."""
+    pattern_error: PatternError = "sum_of_magnitudes"
+    """Reading of Eq. 7. As printed (magnitude_of_sum) errors cancel, and speed stopped following f in a first trial."""
+    pattern_error_bound: float = 5.0
+    """b of Eq. 8 [rad]. The paper's 2.5 goes with the printed reading; the sum of 28 magnitudes is larger."""
+    scale: float = 0.01
+    """Factor on the whole reward: a return is then of the order of one, which the critic learns soonest."""
+
+
+@dataclass(kw_only=True)
+class Reflex:
+    """How the network's action becomes the reflex torque tau_r."""
+
+    torque_share: float = 0.25
+    """tau_r = share x torque limit x action, limited to the joint's limit."""
+
+
+@dataclass(kw_only=True)
+class Resets:
+    """Start states: the CPG's pose and velocities at a random phase, feet on the ground."""
+
+    minimum_speed: float = 0.5
+    """Least forward speed, as a share of the gait's own."""
+    maximum_speed: float = 1.0
+    """Greatest forward speed, as a share of the gait's own."""
+
+
+@dataclass(kw_only=True)
+class Termination:
+    """When an episode ends."""
+
+    minimum_height: float = 0.55
+    """A pelvis below this height above the ground [m] is a fall."""
+    maximum_tilt: float = 60.0
+    """A pelvis tilted by more than this angle from the vertical [deg] is a fall."""
+    maximum_heading: float = 57.0
+    """Facing away from the target by more than this angle [deg] ends the episode like a fall; 180 never does."""
+    episode_steps: int = 1000
+    """Control steps until the time is out."""
+
+
+@dataclass(kw_only=True)
+class Pushes:
+    """Random pushes on the torso."""
+
+    force: float = 0.0
+    """Largest force along each world axis [N]; 0 turns pushes off."""
+    duration: float = 0.1
+    """Duration of a push [s]."""
+    interval: float = 1.0
+    """Time from push to push [s]."""
+
+
+@dataclass(kw_only=True)
+class Learning:
+    """Proximal policy optimisation, as rsl_rl's runner takes it."""
+
+    network: Literal["equivariant", "mlp"] = "equivariant"
+    """equivariant: layers that commute with the left-right mirror, so that the controller is exactly symmetric; mlp:
+    ordinary layers."""
+    hidden_sizes: tuple[int, ...] = (512, 256, 128)
+    """Hidden layers of actor and critic (paper, Sec. II-A.2)."""
+    critic_hidden_sizes: tuple[int, ...] = ()
+    """Hidden layers of the critic where they differ from the actor's."""
+    activation: Literal["relu", "elu", "selu", "lrelu", "gelu", "swish", "mish", "softplus", "tanh", "sigmoid"] = "relu"
+    """Activation function (paper: ReLU); rsl_rl has these."""
+    initial_std: float = 0.4
+    """Standard deviation of the actions at the start."""
+    learn_std: bool = True
+    """Learn the standard deviation; otherwise it stays as it is at the start."""
+    steps_per_iteration: int = 16
+    """Control steps per environment and iteration."""
+    epochs: int = 2
+    """Passes over the collected samples."""
+    minibatches: int = 4
+    """Minibatches per pass."""
+    learning_rate: float = 5e-4
+    """Learning rate, or that at the start if it is adaptive."""
+    learning_rate_schedule: Schedule = "iteration"
+    """Adapt the learning rate to the KL divergence once an iteration, at every minibatch, or not at all."""
+    minimum_learning_rate: float = 5e-5
+    """Least learning rate."""
+    maximum_learning_rate: float = 1e-3
+    """Greatest learning rate."""
+    desired_kl: float = 0.03
+    """KL divergence the learning rate is adapted to: of a whole update, or of what is done of it at a minibatch."""
+    discount: float = 0.99
+    """Discount factor gamma."""
+    gae_lambda: float = 0.95
+    """Lambda of generalised advantage estimation."""
+    clip: float = 0.2
+    """Clipping range of the policy ratio."""
+    entropy_coefficient: float = 0.0
+    """Weight of the entropy bonus."""
+    value_coefficient: float = 1.0
+    """Weight of the value loss."""
+    value_clipping: bool = False
+    """Let the value of a state move by no more than ``clip`` in an iteration. Where returns are far larger, as with a
+    reward scale of 0.1, most samples stop teaching the critic anything."""
+    maximum_gradient_norm: float = 1.0
+    """Gradient clipping."""
+    symmetry: bool = True
+    """Learn from every sample and its left-right mirror image, where the network is an mlp: the other has no need."""
+    save_interval: int = 100
+    """Iterations between checkpoints."""
+
+
+@dataclass(kw_only=True)
+class Imitation:
+    """The discriminator of the AMP baseline (Peng et al. 2021).
+
+    Network, penalties and scale are those published for this humanoid in Isaac Gym; learning rate, batch, replay and
+    weight are for 256 environments, and say what was published.
+    """
+
+    discriminator_hidden_sizes: tuple[int, ...] = (1024, 512)
+    """Its hidden layers."""
+    discriminator_learning_rate: float = 1e-5
+    """Its learning rate. Published: 5e-5, for eight times as many samples an iteration as 256 environments give."""
+    discriminator_batch: int = 256
+    """Pairs of states drawn for each of its updates, as many as PPO's, from the reference, from this iteration and from
+    the replay buffer, each. Published: 4096."""
+    gradient_penalty: float = 5.0
+    """Weight of the squared gradient at the reference."""
+    logit_regularisation: float = 0.05
+    """Weight of the sum of squares of its last layer's weights."""
+    weight_decay: float = 1e-4
+    """Weight of the sum of squares of all its weights."""
+    replay_size: int = 10_000
+    """Pairs in the replay buffer, which is part of every checkpoint: 6.5 MB. Published: 1,000,000."""
+    replay_keep: float = 0.01
+    """Share of an iteration's pairs that goes into a replay buffer that is full."""
+    style_reward_scale: float = 2.0
+    """The style reward lies between 0 and this."""
+    style_reward_weight: float = 0.1
+    """Weight of the style reward in the whole reward. Published: 1, with normalised values."""
+    task_reward_weight: float = 0.0
+    """Weight of the environment's own reward."""
+
+
+@dataclass(kw_only=True)
+class Task:
+    """One task: ground, commands, rewards, resets and the learning that goes with them."""
+
+    name: Annotated[str, tyro.conf.Suppress]
+    """Name in the registry ``tasks/__init__.py``."""
+    method: Annotated[str, tyro.conf.Suppress] = "ai-cpg"
+    """Name in the registry ``aicpg_newton/methods.py``."""
+    target_speed: float = 1.5
+    """Speed that the PPO baseline is to reach [m/s]; the paper's are 1.5, 2.0, 2.5, 3.0, 3.5 and 4.0."""
+    reference: Literal["walk", "run"] = "walk"
+    """Gait that the AMP baseline imitates."""
+    ground: Ground = field(default_factory=Ground)
+    frequencies: Frequencies = field(default_factory=Frequencies)
+    reflex: Reflex = field(default_factory=Reflex)
+    rewards: Rewards = field(default_factory=Rewards)
+    resets: Resets = field(default_factory=Resets)
+    termination: Termination = field(default_factory=Termination)
+    pushes: Pushes = field(default_factory=Pushes)
+    physics: Physics = field(default_factory=Physics)
+    learning: Learning = field(default_factory=Learning)
+    imitation: Imitation = field(default_factory=Imitation)
+
+    def validate(self) -> None:
+        """Refuse settings that cannot be run.
+
+        Raises:
+            UserError: A number is not finite or out of its range; the message names the setting.
+        """
+        for name, value in _numbers(self):
+            if not math.isfinite(value):
+                raise UserError(f"{name} is {value}; give a finite number")
+        self.physics.validate()
+        self.ground.validate()
+        if not 0 < self.frequencies.minimum <= self.frequencies.maximum:
+            raise UserError(
+                f"frequencies run from {self.frequencies.minimum} to {self.frequencies.maximum} Hz;"
+                " give a positive minimum no larger than the maximum"
+            )
+        positive = {
+            "target_speed": self.target_speed,
+            "reflex.torque_share": self.reflex.torque_share,
+            "rewards.pattern_error_bound": self.rewards.pattern_error_bound,
+            "termination.episode_steps": self.termination.episode_steps,
+            "pushes.duration": self.pushes.duration,
+            "pushes.interval": self.pushes.interval,
+            "learning.initial_std": self.learning.initial_std,
+            "learning.steps_per_iteration": self.learning.steps_per_iteration,
+            "learning.epochs": self.learning.epochs,
+            "learning.minibatches": self.learning.minibatches,
+            "learning.save_interval": self.learning.save_interval,
+            "learning.learning_rate": self.learning.learning_rate,
+            "learning.minimum_learning_rate": self.learning.minimum_learning_rate,
+            "learning.desired_kl": self.learning.desired_kl,
+            "learning.clip": self.learning.clip,
+            "learning.maximum_gradient_norm": self.learning.maximum_gradient_norm,
+            "learning.hidden_sizes": min(self.learning.hidden_sizes, default=0),
+            "learning.critic_hidden_sizes": min(self.learning.critic_hidden_sizes, default=1),
+            "imitation.discriminator_hidden_sizes": min(self.imitation.discriminator_hidden_sizes, default=0),
+            "imitation.discriminator_batch": self.imitation.discriminator_batch,
+            "imitation.replay_size": self.imitation.replay_size,
+            "imitation.discriminator_learning_rate": self.imitation.discriminator_learning_rate,
+        }
+        for name, value in positive.items():
+            if value <= 0:
+                raise UserError(f"{name} is {value}; give a positive number")
+        low, high = self.learning.minimum_learning_rate, self.learning.maximum_learning_rate
+        if not low <= self.learning.learning_rate <= high:
+            raise UserError(
+                f"learning.learning_rate is {self.learning.learning_rate}, outside of its bounds {low} to {high};"
+                " change it, or learning.minimum-learning-rate and learning.maximum-learning-rate"
+            )
+        odd = [size for size in (*self.learning.hidden_sizes, *self.learning.critic_hidden_sizes) if size % 2]
+        if self.learning.network == "equivariant" and odd:
+            raise UserError(
+                f"layers of an equivariant network have a right and a left half, but one has {odd[0]} units; give even"
+                " numbers"
+            )
+        shares = {"learning.discount": self.learning.discount, "learning.gae_lambda": self.learning.gae_lambda}
+        for name, value in shares.items():
+            if not 0.0 <= value <= 1.0:
+                raise UserError(f"{name} is {value}; give a number from 0 to 1")
+        if not 0.0 <= self.resets.minimum_speed <= self.resets.maximum_speed:
+            raise UserError(
+                f"start speeds run from {self.resets.minimum_speed} to {self.resets.maximum_speed} of the gait's own;"
+                " give a minimum of at least 0 and no larger than the maximum"
+            )
+
+
+def _numbers(settings: Any, prefix: str = "") -> list[tuple[str, float]]:
+    """All numbers in nested dataclasses, with their dotted names."""
+    found: list[tuple[str, float]] = []
+    for each in dataclasses.fields(settings):
+        value = getattr(settings, each.name)
+        if dataclasses.is_dataclass(value):
+            found += _numbers(value, f"{prefix}{each.name}.")
+        elif isinstance(value, (int, float)):
+            found.append((prefix + each.name, float(value)))
+    return found
+
+
+def plain(value: Any) -> Any:
+    """Nested settings with lists in the place of tuples, for YAML."""
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    return [plain(each) for each in value] if isinstance(value, (list, tuple)) else value
+
+
+def task_from_dict(content: Any, source: str) -> Task:
+    """Rebuild a task from ``dataclasses.asdict``, as stored in checkpoints.
+
+    Settings that a checkpoint does not know yet take what was done when it was written: :data:`_BEFORE` for those whose
+    default has changed since, their default for all others.
+
+    Args:
+        content: Nested dictionary.
+        source: Where it comes from, for messages.
+
+    Raises:
+        UserError: A setting is unknown, or has the wrong kind of value.
+    """
+    if isinstance(content, dict) and isinstance(content.get("learning"), dict):
+        learning = dict(content["learning"])
+        if "adaptive_learning_rate" in learning:  # the schedule's name until there were three
+            learning["learning_rate_schedule"] = "minibatch" if learning.pop("adaptive_learning_rate") else "fixed"
+        content = {**content, "learning": {**_BEFORE, **learning}}
+    return _from_dict(Task, content, source)
+
+
+_BEFORE = {
+    "value_clipping": True,
+    "network": "mlp",
+    "learning_rate_schedule": "minibatch",
+    "minimum_learning_rate": 1e-5,
+    "maximum_learning_rate": 1e-2,
+}
+"""Learning settings that were not settings once, with what was done then."""
+
+
+def _has_no_default(setting: dataclasses.Field) -> bool:
+    return setting.default is dataclasses.MISSING and setting.default_factory is dataclasses.MISSING
+
+
+def _from_dict(kind: type, content: Any, source: str) -> Any:
+    names = {each.name for each in dataclasses.fields(kind)}
+    given = set(content) if isinstance(content, dict) else None
+    required = {each.name for each in dataclasses.fields(kind) if _has_no_default(each)}
+    if given is None or not required <= given <= names:
+        different = ", ".join(sorted((given or set()) - names | required - (given or set())))
+        raise UserError(
+            f"{source} holds settings of another version ({kind.__name__}: {different or 'no settings'});"
+            " use the version of the code that wrote it"
+        )
+    hints = typing.get_type_hints(kind)
+    values = {}
+    for name, value in content.items():
+        hint = hints[name]
+        if dataclasses.is_dataclass(hint):
+            value = _from_dict(typing.cast(type, hint), value, source)
+        elif typing.get_origin(hint) is tuple:
+            value = tuple(value)
+        elif typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
+            raise UserError(f"{source} holds {value!r} for {name}; it should be one of {typing.get_args(hint)}")
+        elif hint in (int, float, bool, str) and not isinstance(value, (int, float) if hint is float else hint):
+            raise UserError(f"{source} holds {value!r} for {name}; it should be of type {hint.__name__}")
+        values[name] = value
+    return kind(**values)

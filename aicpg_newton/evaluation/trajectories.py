@@ -1,0 +1,163 @@
+"""What is kept of a roll-out to take measures from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+
+from aicpg_newton.engines.terrain import Terrain
+from aicpg_newton.env.environment import Environment
+from aicpg_newton.evaluation import metrics
+from aicpg_newton.evaluation.protocols import Protocol
+from aicpg_newton.learning.policy import Agent
+from aicpg_newton.playing.rollout import Tally, physical_frames, share_out
+from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE, NUM_JOINTS
+from aicpg_newton.robot.kinematics import centre_of_mass, sole_corners
+
+WARM_UP = round(1.0 * CONTROL_RATE)
+"""Steps after every start that no measure counts: the first second, in which the start state dies away."""
+
+SHORTEST = round(1.0 * CONTROL_RATE)
+"""Fewest counted steps that an environment's measures are taken from: a second, about one stride."""
+
+_CHUNK = 128  # steps of forward kinematics at a time, to bound memory
+_SOLE_CHUNK = 16  # the same where each foot has a grid of points
+
+
+@dataclass
+class Recording:
+    """Trajectories of a protocol, each tensor of shape [time, num_envs, ...]; states before any reset.
+
+    A fall and leaving the course (facing more than the task's angle away from the target) both end an episode and both
+    count as falls, as in play.py's table. Coming to the edge of the terrain ends an episode without a fall.
+    """
+
+    condition: torch.Tensor
+    """Index of each environment's condition, shape [num_envs]."""
+    terrain: Terrain | None
+    """The ground; None for the plane at height 0."""
+    frequency: torch.Tensor
+    """Stride frequency f [Hz]."""
+    root_position: torch.Tensor
+    """World position of the pelvis [m], [..., 3]."""
+    ground_height: torch.Tensor
+    """World height of the ground below the pelvis [m]."""
+    root_rotation: torch.Tensor
+    """Pelvis rotation (x, y, z, w), [..., 4]."""
+    joint_position: torch.Tensor
+    """Joint angles [rad], [..., 28]."""
+    power: torch.Tensor
+    """Mechanical power of all joints [W]."""
+    contact: torch.Tensor
+    """Whether each foot is on the ground (right, left), bool, [..., 2]."""
+    fallen: torch.Tensor
+    """Whether the episode ended in this step with a fall, bool."""
+    ended: torch.Tensor
+    """Whether the episode ended in this step, with a fall or at the edge of the terrain, bool."""
+    age: torch.Tensor
+    """Steps since the episode began, from 0."""
+    speed: torch.Tensor
+    """Velocity of the centre of mass in the target direction, +x [m/s]; NaN in the first step of an episode."""
+
+    @property
+    def standing(self) -> torch.Tensor:
+        """Steps before the end of the environment's first episode, bool, shape [time, num_envs]."""
+        return self.ended.cumsum(dim=0) == 0
+
+    @property
+    def settled(self) -> torch.Tensor:
+        """Steps that measures of steady locomotion count: of the first episode, after its first second."""
+        return self.standing & (self.age >= WARM_UP)
+
+    def among(self, environments: torch.Tensor) -> Recording:
+        """The recording of some environments, given as a bool tensor of shape [num_envs]."""
+        rows = {
+            name: value[:, environments] for name, value in vars(self).items() if name not in ("condition", "terrain")
+        }
+        return Recording(condition=self.condition[environments], terrain=self.terrain, **rows)
+
+
+def record(
+    protocol: Protocol,
+    frequencies: torch.Tensor,
+    environment: Environment,
+    agent: Agent,
+    progress: Callable[[int], None] = lambda step: None,
+) -> Recording:
+    """Run a protocol: the one loop for all of them.
+
+    Args:
+        protocol: What is done; its pushes are already part of the environment's task.
+        frequencies: Stride frequency at the start of each condition [Hz], shape [conditions].
+        environment: Environments whose episodes do not time out before the protocol is over.
+        agent: What controls them.
+        progress: Called with the number of steps done.
+    """
+    steps, n, device = protocol.steps, environment.num_envs, environment.device
+    condition = share_out(n, len(frequencies)).to(device)
+    start = frequencies.to(device)[condition]
+    environment.restart(start)
+
+    def empty(*shape: int, dtype: torch.dtype = torch.float) -> torch.Tensor:
+        return torch.zeros(steps, n, *shape, dtype=dtype, device=device)
+
+    kept = Recording(
+        condition=condition,
+        terrain=environment.engine.terrain,
+        frequency=empty(),
+        root_position=empty(3),
+        ground_height=empty(),
+        root_rotation=empty(4),
+        joint_position=empty(NUM_JOINTS),
+        power=empty(),
+        contact=empty(2, dtype=torch.bool),
+        fallen=empty(dtype=torch.bool),
+        ended=empty(dtype=torch.bool),
+        age=empty(dtype=torch.long),
+        speed=empty(),
+    )
+    age = torch.zeros(n, dtype=torch.long, device=device)
+    for step, frame in enumerate(physical_frames(environment, agent, steps, Tally(start))):
+        outcome = environment.outcome
+        kept.frequency[step] = environment.frequency
+        kept.root_position[step] = frame.root_position
+        kept.root_rotation[step] = frame.root_rotation
+        kept.joint_position[step] = frame.joint_position
+        kept.power[step] = metrics.mechanical_power(outcome.state.joint_torque, outcome.state.joint_velocity)
+        kept.contact[step] = metrics.feet_on_ground(outcome.state.foot_force)
+        kept.ground_height[step] = outcome.ground_height
+        kept.fallen[step] = outcome.fallen | outcome.off_course
+        kept.ended[step] = kept.fallen[step] | outcome.timed_out
+        kept.age[step] = age
+        age = torch.where(kept.ended[step], 0, age + 1)
+        environment.frequency = start + protocol.ramp * CONTROL_DT * (step + 1)
+        progress(step + 1)
+    kept.speed = forward_speed(kept)
+    return kept
+
+
+def forward_speed(recording: Recording) -> torch.Tensor:
+    """Velocity of the centre of mass along x [m/s] from its way in each step, shape [time, num_envs]; NaN at starts."""
+    x = torch.cat([centre_of_mass(*chunk)[..., 0] for chunk in _poses(recording, _CHUNK)])
+    speed = torch.full_like(x, math.nan)
+    speed[1:] = (x[1:] - x[:-1]) / CONTROL_DT
+    return torch.where(recording.age > 0, speed, math.nan)
+
+
+def sole_clearance(recording: Recording) -> torch.Tensor:
+    """Height of each sole's lowest point above the ground [m], [time, num_envs, 2]; NaN where a foot has no contact."""
+    parts = []
+    for contact, pose in zip(recording.contact.split(_SOLE_CHUNK), _poses(recording, _SOLE_CHUNK), strict=True):
+        clearance = torch.full(contact.shape, math.nan, device=contact.device)
+        clearance[contact] = metrics.sole_clearance(sole_corners(*pose)[contact], recording.terrain)
+        parts.append(clearance)
+    return torch.cat(parts)
+
+
+def _poses(recording: Recording, steps: int) -> Iterator[tuple[torch.Tensor, ...]]:
+    """Pelvis position and rotation and joint angles, so many steps at a time."""
+    poses = (recording.root_position, recording.root_rotation, recording.joint_position)
+    return zip(*(each.split(steps) for each in poses), strict=True)

@@ -1,0 +1,137 @@
+"""What the figures have in common: methods that differ in grey, and means and standard deviations over seeds."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Ellipse
+
+from aicpg_newton.env.methods import METHODS
+from aicpg_newton.evaluation.results import Row
+
+REFERENCE = {"color": "0.45", "linewidth": 1.2}
+"""Look of everything that is not a result."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """Look of a method: colours of different lightness, and a marker and a line style each."""
+
+    colour: str
+    marker: str
+    line: str | tuple[int, tuple[int, int]]
+    hatch: str
+
+
+_STYLES = {
+    METHODS["ai-cpg"].title: Style("#b2182b", "o", "-", ""),
+    METHODS["amp"].title: Style("#4393c3", "s", "--", "//"),
+    METHODS["ppo"].title: Style("#1a6b32", "^", ":", "xx"),
+}
+_OTHERS = (
+    Style("#000000", "D", "-.", ".."),
+    Style("#8c6d1f", "v", (0, (5, 1)), "\\\\"),
+    Style("#6a3d9a", "P", (0, (1, 3)), "oo"),
+)
+
+
+@dataclass(frozen=True)
+class Points:
+    """A method's means over seeds and their standard deviations, one entry per frequency or condition."""
+
+    x: np.ndarray
+    y: np.ndarray
+    x_std: np.ndarray
+    y_std: np.ndarray
+    survived: np.ndarray
+    seeds: int
+    curve: bool
+    """Whether the points are frequencies of one controller, not controllers trained for different speeds."""
+
+
+def methods(rows: Iterable[Row]) -> dict[str, Style]:
+    """Methods in their order of appearance, with their looks: the paper's colours for the paper's methods."""
+    names = list(dict.fromkeys(row["method"] for row in rows))
+    others = [name for name in names if name not in _STYLES]
+    return {name: _STYLES.get(name) or _OTHERS[others.index(name) % len(_OTHERS)] for name in names}
+
+
+def slug(method: str) -> str:
+    """A method's name as part of a file name."""
+    return re.sub(r"[^a-z0-9]+", "_", method.lower()).strip("_")
+
+
+def mean(values: Iterable[float]) -> float:
+    """Mean of the finite values; NaN where there are none."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.mean(finite)) if finite else math.nan
+
+
+def std(values: Iterable[float]) -> float:
+    """Standard deviation of the finite values; NaN where there are none."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.std(finite)) if finite else math.nan
+
+
+def over_seeds(rows: Iterable[Row], method: str, x: str, y: str) -> Points:
+    """Mean and standard deviation over seeds at each frequency or condition, where both ``x`` and ``y`` are known.
+
+    Several rows of one seed (its last checkpoints) are averaged first, so that every seed counts the same.
+    """
+    groups: dict[float | str, dict[float, list[Row]]] = {}
+    seeds = set()
+    for row in rows:
+        if row["method"] == method and math.isfinite(row[x]) and math.isfinite(row[y]):
+            told = row["condition"] or row["frequency_hz"]
+            groups.setdefault(told, {}).setdefault(row["seed"], []).append(row)
+            seeds.add(row["seed"])
+    columns: list[tuple[float, ...]] = []
+    for told in sorted(groups):
+        per_seed = groups[told].values()
+        xs, ys, survived = (
+            [mean(row.get(name, 1.0) for row in mine) for mine in per_seed] for name in (x, y, "survived")
+        )
+        columns.append((mean(xs), mean(ys), std(xs), std(ys), mean(survived)))
+    table = np.array(columns).reshape(-1, 5).T
+    curve = not any(isinstance(told, str) for told in groups)
+    return Points(table[0], table[1], table[2], table[3], table[4], len(seeds), curve)
+
+
+def draw_points(axes: Axes, points: Points, style: Style, label: str) -> None:
+    """A method's points with standard deviations over seeds, as in the paper.
+
+    The frequencies of one controller make a curve with a band; controllers trained for different speeds are dots, each
+    with an ellipse as wide and high as the deviations to both sides. Where under half of the environments survived, the
+    marker is hollow and the curve leaves it out: such a point is made of the steps before a fall.
+    """
+    if not len(points.x):
+        return
+    several = points.seeds > 1
+    label = f"{label} ({points.seeds} seed{'s' if several else ''})"
+    fell = points.survived < 0.5
+    look = {"color": style.colour, "marker": style.marker, "zorder": 3}
+    line = style.line if points.curve else "none"
+    axes.plot(points.x[~fell], points.y[~fell], linestyle=line, label=label, **look)
+    axes.plot(points.x[fell], points.y[fell], linestyle="none", markerfacecolor="white", **look)
+    faint = {"color": style.colour, "alpha": 0.2, "linewidth": 0}
+    if several and points.curve:
+        low, high = points.y - points.y_std, points.y + points.y_std
+        axes.fill_between(points.x[~fell], low[~fell], high[~fell], **faint)
+    elif several:
+        for x, y, x_std, y_std in zip(points.x, points.y, points.x_std, points.y_std, strict=True):
+            axes.add_patch(Ellipse((float(x), float(y)), 2 * float(x_std), 2 * float(y_std), **faint))
+
+
+def say_if_empty(axes: Axes, rows: Iterable[Row], y: str) -> None:
+    """Write into a panel without a single value why there is none."""
+    rows = list(rows)
+    if any(math.isfinite(row[y]) for row in rows):
+        return
+    reasons = sorted({reason for row in rows for reason in row["reason"].split("; ") if reason})
+    text = "no values:\n" + "\n".join(reasons or ["this protocol was not run"])
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", wrap=True, color="0.2")

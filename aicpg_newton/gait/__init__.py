@@ -1,0 +1,1 @@
+"""The central pattern generator, and the imitated gait as motion of the whole body."""

@@ -1,0 +1,132 @@
+"""Checkpoints: one file that holds all that is needed to play, judge or resume a run."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from aicpg_newton.errors import UserError
+from aicpg_newton.robot import humanoid
+
+FORMAT = 1
+"""Raised when the content changes its meaning."""
+
+_KEYS = {"format", "humanoid", "task", "pattern", "run", "iteration", "samples", "algorithm"}
+_NAME = re.compile(r"model_(\d+)\.pt")
+
+
+def write(
+    path: Path,
+    *,
+    task: dict[str, Any],
+    pattern: dict[str, Any],
+    run: dict[str, Any],
+    iteration: int,
+    samples: int,
+    algorithm: dict[str, Any],
+) -> None:
+    """Write a checkpoint; the file appears whole or not at all.
+
+    Args:
+        path: File to write.
+        task: ``dataclasses.asdict`` of the task.
+        pattern: :meth:`PatternNetwork.content`.
+        run: How it was trained: number of environments, engine, device, seed, git revision.
+        iteration: Iterations done.
+        samples: Control steps seen over all environments.
+        algorithm: State of actor, critic (with their normalisers) and optimiser.
+    """
+    content = {
+        "format": FORMAT,
+        "humanoid": humanoid.version(),
+        "task": task,
+        "pattern": pattern,
+        "run": run,
+        "iteration": iteration,
+        "samples": samples,
+        "algorithm": algorithm,
+    }
+    save(content, path)
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Read a checkpoint written by :func:`write`.
+
+    Args:
+        path: Checkpoint, or a run folder: then its latest checkpoint.
+
+    Raises:
+        UserError: The file is missing, torn, of another format or trained on another humanoid.
+    """
+    path = latest(path) if path.is_dir() else path
+    if not path.is_file():
+        raise UserError(f"no checkpoint at {path}; give a model_*.pt file or a run folder that holds one")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises many types on torn files
+        raise UserError(
+            f"{path} cannot be read as a checkpoint and may be cut short; delete it to go on from the one before"
+        ) from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT or set(content) != _KEYS:
+        raise UserError(f"{path} is not a checkpoint of this version of aicpg_newton; use the version that wrote it")
+    if content["humanoid"] != humanoid.version():
+        raise UserError(
+            f"{path} was trained on humanoid {content['humanoid']}, but this is {humanoid.version()};"
+            " check out the revision that trained it or train again"
+        )
+    return content
+
+
+def without_optimiser(content: dict[str, Any]) -> dict[str, Any]:
+    """A checkpoint's content at a third of its size, actor and critic alone: it can be played and judged, not resumed.
+
+    Args:
+        content: What :func:`read` returned.
+    """
+    networks = ("actor_state_dict", "critic_state_dict")
+    algorithm = {name: content["algorithm"][name] for name in networks}
+    return {**content, "algorithm": algorithm}
+
+
+def save(content: dict[str, Any], path: Path) -> None:
+    """Write a checkpoint's content; the file appears whole or not at all."""
+    temporary = path.with_suffix(".partial")
+    torch.save(content, temporary)
+    os.replace(temporary, path)
+
+
+def shipped(task: str) -> Path:
+    """The trained checkpoint that comes with this repository for a task.
+
+    Raises:
+        UserError: There is none.
+    """
+    path = humanoid.ASSETS / "policies" / f"{task}.pt"
+    if not path.is_file():
+        raise UserError(f"no trained policy ships for task {task!r}; train one and give --checkpoint")
+    return path
+
+
+def all_of(folder: Path) -> list[Path]:
+    """The checkpoints of a run folder, oldest first.
+
+    Raises:
+        UserError: The folder holds none.
+    """
+    found = {int(match[1]): path for path in folder.glob("model_*.pt") if (match := _NAME.fullmatch(path.name))}
+    if not found:
+        raise UserError(f"no model_*.pt in {folder}; give a run folder that holds a checkpoint")
+    return [found[iteration] for iteration in sorted(found)]
+
+
+def latest(folder: Path) -> Path:
+    """The checkpoint of a run folder with the highest iteration.
+
+    Raises:
+        UserError: The folder holds none.
+    """
+    return all_of(folder)[-1]

@@ -1,0 +1,1 @@
+"""Let controllers move: roll-outs, and what play.py does."""

@@ -1,0 +1,230 @@
+"""The robot: joint order, gains, torque limits, damping and the left-right mirror map.
+
+Everything else in the package speaks of joints in the order of :data:`JOINT_NAMES` and of links in the order of
+:data:`LINK_NAMES`; engines translate from their own layout by name. Geometry, masses and joint ranges stand in
+``assets/humanoid.xml``. Frames: x forward, y left, z up; right is -y.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import torch
+
+from aicpg_newton.errors import UserError
+
+ASSETS = Path(__file__).resolve().parents[2] / "assets"
+MJCF_PATH = ASSETS / "humanoid.xml"
+
+TOTAL_MASS = 48.9
+"""Mass of the 13 links [kg] (paper, Sec. II-B)."""
+
+LEG_LENGTH = 0.855
+"""Characteristic length of the Froude number [m] (paper, Eq. 11): from the hip to the middle of the foot."""
+
+GRAVITY = 9.81
+"""Gravitational acceleration [m/s^2] (paper, Eq. 11-12)."""
+
+BODY_WEIGHT = TOTAL_MASS * GRAVITY
+"""Unit of contact forces where they are seen by a network [N]."""
+
+CONTROL_RATE = 60.0
+"""Control steps per second [Hz] (paper, Sec. III-B: 60 steps are 1 s)."""
+
+CONTROL_DT = 1.0 / CONTROL_RATE
+"""Duration of a control step [s]."""
+
+LINK_NAMES = (
+    "pelvis", "torso", "head",
+    "right_upper_arm", "right_lower_arm", "left_upper_arm", "left_lower_arm",
+    "right_thigh", "right_shin", "right_foot", "left_thigh", "left_shin", "left_foot",
+)  # fmt: skip
+"""The 13 links; the pelvis is the root."""
+
+FOOT_NAMES = ("right_foot", "left_foot")
+"""Order of every per-foot quantity."""
+
+HAND_LINKS = ("right_lower_arm", "left_lower_arm")
+"""Links that end in a hand, in the same order."""
+
+HEAD_CENTRE = (0.0, 0.0, 0.175)
+"""Centre of the head's sphere in the head link's frame [m]."""
+
+HAND_CENTRE = (0.0, 0.0, -0.259)
+"""Centre of the hand's sphere in the lower arm's frame [m]."""
+
+FOOT_LEVER = 0.1
+"""From ankle to toe, about [m]; times the body weight, the unit of foot moments where they are seen by a network."""
+
+
+@dataclass(frozen=True)
+class JointGroup:
+    """Motor facts shared by a group of joints."""
+
+    position_gain: float
+    """Kp [N m/rad] (paper, Sec. II-A: 750 for the torso's three joints, 250 for the rest)."""
+    velocity_gain: float
+    """Kd [N m s/rad] (paper, Sec. II-A: 1 for all)."""
+    torque_limit: float
+    """Largest total torque [N m] of CPG and reflex together."""
+    damping: float
+    """Passive joint damping [N m s/rad]; Kd = 1 alone leaves the joints badly underdamped."""
+    armature: float
+    """Rotor inertia seen at the joint [kg m^2]."""
+
+
+# Kp, Kd: the paper. Torque limits: about 2.5 to 4 N m per kg of body mass at abdomen, hip, knee and ankle, as adults
+# reach when running; the Isaac Gym humanoid's 125/100/50 were too weak at the ankle to run at 3 m/s in a first trial.
+# Damping: stable at 240 Hz in that trial. Armature: the Isaac Gym humanoid's range, .007 to .025.
+JOINT_GROUPS = {
+    "abdomen": JointGroup(position_gain=750, velocity_gain=1, torque_limit=200, damping=8.0, armature=0.025),
+    "neck": JointGroup(position_gain=250, velocity_gain=1, torque_limit=50, damping=1.5, armature=0.017),
+    "shoulder": JointGroup(position_gain=250, velocity_gain=1, torque_limit=70, damping=2.0, armature=0.02),
+    "elbow": JointGroup(position_gain=250, velocity_gain=1, torque_limit=60, damping=1.5, armature=0.015),
+    "hip": JointGroup(position_gain=250, velocity_gain=1, torque_limit=200, damping=6.0, armature=0.02),
+    "knee": JointGroup(position_gain=250, velocity_gain=1, torque_limit=200, damping=5.0, armature=0.02),
+    "ankle": JointGroup(position_gain=250, velocity_gain=1, torque_limit=120, damping=2.0, armature=0.01),
+}
+
+JOINT_NAMES = (
+    "abdomen_x", "abdomen_y", "abdomen_z",
+    "neck_x", "neck_y", "neck_z",
+    "right_shoulder_x", "right_shoulder_y", "right_shoulder_z", "right_elbow",
+    "left_shoulder_x", "left_shoulder_y", "left_shoulder_z", "left_elbow",
+    "right_hip_x", "right_hip_y", "right_hip_z", "right_knee",
+    "right_ankle_x", "right_ankle_y", "right_ankle_z",
+    "left_hip_x", "left_hip_y", "left_hip_z", "left_knee",
+    "left_ankle_x", "left_ankle_y", "left_ankle_z",
+)  # fmt: skip
+"""The 28 hinge joints, in the one order the package uses. The axes of one link are intrinsic x-y-z."""
+
+NUM_JOINTS = len(JOINT_NAMES)
+
+
+def joint_index(name: str) -> int:
+    """Index of a joint in :data:`JOINT_NAMES`."""
+    return JOINT_NAMES.index(name)
+
+
+def joint_group(name: str) -> str:
+    """Group of a joint: ``left_ankle_x`` belongs to ``ankle``."""
+    return next(group for group in JOINT_GROUPS if group in name)
+
+
+@dataclass(frozen=True)
+class Motors:
+    """Motor facts per joint, shape [28] each, in the order of :data:`JOINT_NAMES`; units as in :class:`JointGroup`."""
+
+    position_gain: torch.Tensor
+    velocity_gain: torch.Tensor
+    torque_limit: torch.Tensor
+    damping: torch.Tensor
+    armature: torch.Tensor
+
+    def __post_init__(self) -> None:
+        """Refuse what would blow up in the solver without a word.
+
+        Raises:
+            UserError: A tensor is not of shape [28], not finite, negative, or (gain, limit) zero.
+        """
+        for field in fields(self):
+            values = getattr(self, field.name)
+            if values.shape != (NUM_JOINTS,):
+                raise UserError(
+                    f"{field.name} has shape {tuple(values.shape)}; the humanoid needs one value for each of its"
+                    f" {NUM_JOINTS} joints"
+                )
+            positive = field.name in ("position_gain", "torque_limit")
+            bad = ~torch.isfinite(values) | (values < 0) | (positive & (values == 0))
+            if bad.any():
+                joint = JOINT_NAMES[int(bad.nonzero()[0])]
+                raise UserError(
+                    f"{field.name} of joint {joint} is {values[joint_index(joint)].item()};"
+                    f" give a finite {'positive' if positive else 'non-negative'} number"
+                )
+
+    def to(self, device: torch.device | str) -> Motors:
+        """The same motors on another device."""
+        return Motors(**{field.name: getattr(self, field.name).to(device) for field in fields(self)})
+
+
+def motors(groups: dict[str, JointGroup] | None = None) -> Motors:
+    """Motor facts per joint, from a table of joint groups (default: :data:`JOINT_GROUPS`)."""
+    table = JOINT_GROUPS if groups is None else groups
+    rows = [table[joint_group(name)] for name in JOINT_NAMES]
+    return Motors(
+        **{field.name: torch.tensor([float(getattr(row, field.name)) for row in rows]) for field in fields(JointGroup)}
+    )
+
+
+def torque_motors() -> Motors:
+    """The same motors as sources of torque: nearly no position gain, no velocity gain.
+
+    Engines give a torque by shifting the position target by torque / Kp, so Kp must not be zero; 0.01 N m/rad adds less
+    than 0.03 N m over any joint's range.
+    """
+    table = {name: replace(group, position_gain=0.01, velocity_gain=0.0) for name, group in JOINT_GROUPS.items()}
+    return motors(table)
+
+
+def version() -> str:
+    """Fingerprint of the robot (geometry and motor table), stored in checkpoints: 12 hexadecimal digits."""
+    facts = MJCF_PATH.read_bytes() + repr((JOINT_NAMES, JOINT_GROUPS)).encode()
+    return hashlib.sha256(facts).hexdigest()[:12]
+
+
+def _mirrored(name: str) -> str:
+    if name.startswith("right_"):
+        return "left_" + name.removeprefix("right_")
+    return "right_" + name.removeprefix("left_") if name.startswith("left_") else name
+
+
+MIRROR_PERMUTATION = tuple(joint_index(_mirrored(name)) for name in JOINT_NAMES)
+"""``mirrored[i] = sign[i] * original[permutation[i]]``, reflecting y -> -y."""
+
+MIRROR_SIGN = tuple(-1.0 if name.endswith(("_x", "_z")) else 1.0 for name in JOINT_NAMES)
+"""A reflection in y turns rotations about x and z around and leaves those about y."""
+
+LINK_MIRROR_PERMUTATION = tuple(LINK_NAMES.index(_mirrored(name)) for name in LINK_NAMES)
+"""The same for links: position ``mirrored[i] = (x, -y, z)`` of ``original[permutation[i]]``."""
+
+
+MIRROR_VECTOR, MIRROR_AXIAL = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0)
+"""Signs of positions, velocities and forces, and of angular velocities and moments, reflecting y -> -y."""
+
+MIRROR_SIDES = (3, 4, 5, 0, 1, 2)
+"""Permutation of a vector of the right side and one of the left."""
+
+
+def mirror_blocks(
+    blocks: Sequence[tuple[str, int]], maps: Mapping[str, tuple[tuple[int, ...], tuple[float, ...]]]
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Permutation and sign of quantities put one behind the other, under a reflection y -> -y.
+
+    Args:
+        blocks: Name and size of each block, in order.
+        maps: Permutation and sign within the blocks that are not joint quantities.
+    """
+    permutation: list[int] = []
+    sign: list[float] = []
+    for name, _ in blocks:
+        block_permutation, block_sign = maps.get(name, (MIRROR_PERMUTATION, MIRROR_SIGN))
+        start = len(permutation)
+        permutation += [start + index for index in block_permutation]
+        sign += block_sign
+    return tuple(permutation), tuple(sign)
+
+
+def mirror_joints(values: torch.Tensor) -> torch.Tensor:
+    """Left-right mirror image of joint angles, velocities or torques.
+
+    Args:
+        values: Joint quantities, shape [..., 28].
+
+    Returns:
+        The mirrored quantities, shape [..., 28]; mirroring twice is the identity.
+    """
+    return values[..., list(MIRROR_PERMUTATION)] * values.new_tensor(MIRROR_SIGN)

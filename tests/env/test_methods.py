@@ -1,0 +1,30 @@
+"""The registry of methods."""
+
+import pytest
+
+from aicpg_newton.env.actuation import Actuation
+from aicpg_newton.env.methods import METHODS, get_method, with_method
+from aicpg_newton.errors import UserError
+from tasks import get_task
+
+
+def test_an_unknown_method_is_named():
+    """With the ones there are."""
+    with pytest.raises(UserError, match=r"unknown method 'sac'; choose one of: ai-cpg, ppo, amp"):
+        get_method("sac")
+    with pytest.raises(UserError, match="unknown method"):
+        with_method(get_task("flat"), "sac")
+
+
+def test_methods_are_told_apart():
+    """Titles and ways of control differ; only AI-CPG follows the stride frequency."""
+    assert len({method.title for method in METHODS.values()}) == len(METHODS)
+    assert all(issubclass(method.actuation, Actuation) for method in METHODS.values())
+    assert [name for name, method in METHODS.items() if method.follows_frequency] == ["ai-cpg"]
+
+
+def test_a_task_with_a_method_is_a_new_task():
+    """The registry's own settings are left alone."""
+    plain = get_task("uneven")
+    with_method(plain, "ppo")
+    assert plain == get_task("uneven")

@@ -1,0 +1,101 @@
+"""Result files: tidy, free of NaN, and never overwritten."""
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from aicpg_newton.errors import UserError
+from aicpg_newton.evaluation import results
+from aicpg_newton.evaluation.protocols import COMMAND, SWEEP
+
+CONTROLLERS = [{"method": "AI-CPG", "seed": 1, "task": "flat", "checkpoints": [{"file": "model_9.pt", "sha256": "ab"}]}]
+
+
+def row(**changes) -> results.Row:
+    """A row of the sweep."""
+    numbers = {column: 0.5 for column in SWEEP.columns if column not in ("method", "condition", "seed", "reason")}
+    return {"method": "AI-CPG", "condition": "", "seed": 1, **numbers, "reason": "", **changes}
+
+
+def write(folder: Path, rows: list[results.Row]) -> None:
+    """Write a sweep the way an evaluation does."""
+    results.prepare(folder, ["sweep"], CONTROLLERS)
+    results.write(folder, "sweep", rows, {"controllers": CONTROLLERS, "results": [{"value": math.nan}]})
+
+
+def test_what_is_written_is_read(tmp_path: Path):
+    """The columns in their order, six digits, and empty cells where a number is missing."""
+    folder = tmp_path / "new" / "results"
+    write(folder, [row(speed_mps=1.23456789), row(cost_of_transport=math.nan, froude=None, reason="no motion; no way")])
+    with (folder / "sweep.csv").open() as file:
+        lines = list(csv.reader(file))
+    assert tuple(lines[0]) == SWEEP.columns and len(lines) == 3
+    assert lines[1][SWEEP.columns.index("speed_mps")] == "1.23457"
+    assert lines[1][SWEEP.columns.index("seed")] == "1"
+    assert lines[2][SWEEP.columns.index("cost_of_transport")] == ""
+    assert "nan" not in (folder / "sweep.csv").read_text().lower()
+    first, second = results.read_table(folder, "sweep")
+    assert first["speed_mps"] == pytest.approx(1.23457) and first["reason"] == "" and first["method"] == "AI-CPG"
+    assert math.isnan(second["froude"]) and second["reason"] == "no motion; no way"
+
+
+def test_json_is_strict(tmp_path: Path):
+    """NaN becomes null, and the file says which controllers it is about."""
+    write(tmp_path, [row()])
+    content = json.loads((tmp_path / "sweep.json").read_text(), parse_constant=lambda word: pytest.fail(word))
+    assert content["results"] == [{"value": None}] and content["controllers"] == CONTROLLERS
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def test_an_empty_cell_needs_a_reason(tmp_path: Path):
+    """A row without it is a mistake in the program."""
+    with pytest.raises(AssertionError):
+        write(tmp_path, [row(speed_mps=math.inf)])
+
+
+def test_a_row_needs_a_frequency_or_a_condition(tmp_path: Path):
+    """One of them is enough: a controller that follows no frequency is no failure."""
+    write(tmp_path, [row(condition="1.5", frequency_hz=math.nan), row()])
+    first, second = results.read_table(tmp_path, "sweep")
+    assert (first["condition"], first["reason"]) == ("1.5", "") and math.isnan(first["frequency_hz"])
+    assert second["condition"] == "" and second["frequency_hz"] == 0.5
+    with pytest.raises(AssertionError):
+        write(tmp_path / "neither", [row(frequency_hz=math.nan)])
+
+
+def test_results_are_never_overwritten(tmp_path: Path):
+    """Neither by the same protocol, nor mixed with those of another controller; another protocol may join."""
+    write(tmp_path, [row()])
+    before = (tmp_path / "sweep.csv").read_text()
+    with pytest.raises(UserError, match="would be overwritten"):
+        results.prepare(tmp_path, ["sweep"], CONTROLLERS)
+    other = [{**CONTROLLERS[0], "checkpoints": [{"file": "model_9.pt", "sha256": "cd"}]}]
+    with pytest.raises(UserError, match="other controllers"):
+        results.prepare(tmp_path, ["command"], other)
+    results.prepare(tmp_path, ["command"], CONTROLLERS)
+    assert (tmp_path / "sweep.csv").read_text() == before
+
+
+def test_bad_folders(tmp_path: Path):
+    """A file in the way, a table that is not there, is of another kind, or was edited."""
+    (tmp_path / "file").write_text("x")
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(UserError, match="cannot make the folder"):
+            results.prepare(path, ["sweep"], CONTROLLERS)
+    with pytest.raises(UserError, match="run the sweep protocol first"):
+        results.read_table(tmp_path, "sweep")
+    write(tmp_path, [row()])
+    (tmp_path / "command.csv").write_text((tmp_path / "sweep.csv").read_text())
+    with pytest.raises(UserError, match="columns of the command"):
+        results.read_table(tmp_path, COMMAND.name)
+    text = (tmp_path / "sweep.csv").read_text()
+    (tmp_path / "sweep.csv").write_text(text.replace("0.5", "fast", 1))
+    with pytest.raises(UserError, match="not a number"):
+        results.read_table(tmp_path, "sweep")
+    (tmp_path / "sweep.json").write_text("{")
+    (tmp_path / "command.csv").unlink()
+    with pytest.raises(UserError, match="cannot be read"):
+        results.prepare(tmp_path, ["command"], CONTROLLERS)
