@@ -5,7 +5,8 @@ from __future__ import annotations
 import tyro
 
 from aicpg_newton.errors import run_command
-from aicpg_newton.playing.play import PlayOptions, play
+from aicpg_newton.playing.options import PlayOptions
+from aicpg_newton.playing.play import play
 from tasks import get_task
 
 

@@ -6,19 +6,21 @@ import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Generic, TypeVar
 
 import tyro
 
-from aicpg_newton.env.methods import DEFAULT_METHOD, with_method
+from aicpg_newton.env.methods import DEFAULT_METHOD
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.learning.training import RunOptions, task_of, train, with_networks_of
 from tasks import TASKS, get_task
 
+_Settings = TypeVar("_Settings", bound=Task)
+
 
 @dataclass(kw_only=True)
-class Arguments:
+class Arguments(Generic[_Settings]):
     """Train the reflex network of AI-CPG, or a baseline, by PPO, on a GPU if there is one."""
 
     task: str
@@ -27,7 +29,7 @@ class Arguments:
     """ai-cpg, ppo or amp: how the humanoid is controlled and learns; changes some of those defaults. See --target-speed
     for ppo and --reference for amp."""
     run: Annotated[RunOptions, tyro.conf.arg(name="")]
-    settings: Annotated[Task, tyro.conf.arg(name="")]
+    settings: Annotated[_Settings, tyro.conf.arg(name="")]
 
 
 def defaults(arguments: list[str]) -> Arguments:
@@ -45,7 +47,7 @@ def defaults(arguments: list[str]) -> Arguments:
     first_look.add_argument("--start-from", type=Path)
     given, _ = first_look.parse_known_args(arguments)
     if given.resume is None:
-        settings = with_method(get_task(given.task or next(iter(TASKS))), given.method or DEFAULT_METHOD)
+        settings = get_task(given.task or next(iter(TASKS)), given.method or DEFAULT_METHOD)
         if given.start_from is not None:
             settings = with_networks_of(settings, given.start_from)
     else:
@@ -62,10 +64,11 @@ def defaults(arguments: list[str]) -> Arguments:
 def main() -> None:
     """Read the command line and train."""
     arguments = sys.argv[1:]
+    default = defaults(arguments)
     chosen = tyro.cli(
-        Arguments,
+        Arguments[type(default.settings)],  # the options of the method are the fields of its own task
         args=arguments,
-        default=defaults(arguments),
+        default=default,
         description=__doc__,
         config=(tyro.conf.OmitSubcommandPrefixes,),
     )

@@ -11,9 +11,9 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Generic, TypeVar
 
 import torch
 import tyro
@@ -24,6 +24,7 @@ from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.methods import on_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
+from aicpg_newton.files import write_text
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import time_to_walk as walking
 from aicpg_newton.learning.runner import Runner
@@ -34,8 +35,11 @@ _BURST = 20
 """Control steps timed in one go."""
 
 
+_Settings = TypeVar("_Settings", bound=Task)
+
+
 @dataclass(kw_only=True)
-class BenchmarkOptions:
+class BenchmarkOptions(Generic[_Settings]):
     """Measure control steps per second, in all environments together."""
 
     tasks: tuple[str, ...] = ("flat", "uneven")
@@ -61,7 +65,7 @@ class BenchmarkOptions:
     """Samples after which such a training is given up."""
     json: Path | None = None
     """Write what was measured to this file as well: a list with an object for each training, or for each row."""
-    settings: Annotated[Task, tyro.conf.arg(name="")] = field(default_factory=lambda: get_task("flat"))
+    settings: Annotated[_Settings, tyro.conf.arg(name="")]
 
 
 @dataclass
@@ -101,7 +105,7 @@ def measure(
     build = time.perf_counter() - began
 
     def restart() -> None:
-        environment.restart(environment.frequency)
+        environment.restart(environment.commands.frequency)
 
     def rate(make_step: Callable[[], Callable[[], object]]) -> float:
         return num_envs * _calls_per_second(restart, make_step, options.seconds, device)
@@ -274,20 +278,13 @@ def _check(options: BenchmarkOptions) -> tuple[torch.device, str]:
 
 
 def _write(path: Path | None, results: list[Any]) -> None:
-    """Write results as JSON; the file appears whole or not at all.
+    """Write results as JSON, where a file is wanted.
 
     Raises:
         UserError: It cannot be written.
     """
-    if path is None:
-        return
-    temporary = path.with_suffix(".partial")
-    try:
-        temporary.write_text(json.dumps([asdict(each) for each in results], indent=1) + "\n")
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise UserError(f"cannot write {path} ({error.strerror}); what was measured stands above") from error
+    if path is not None:
+        write_text(path, json.dumps([asdict(each) for each in results], indent=1) + "\n")
 
 
 def main() -> None:
@@ -297,7 +294,7 @@ def main() -> None:
     tasks = first_look.parse_known_args(sys.argv[1:])[0].tasks or ["flat"]
     defaults = BenchmarkOptions(settings=get_task(tasks[0]))
     config = (tyro.conf.OmitSubcommandPrefixes,)
-    options = tyro.cli(BenchmarkOptions, description=__doc__, default=defaults, config=config)
+    options = tyro.cli(BenchmarkOptions[type(defaults.settings)], description=__doc__, default=defaults, config=config)
     if options.time_to_walk:
         time_to_walk(options)
     else:

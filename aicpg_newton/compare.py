@@ -13,8 +13,8 @@ from pathlib import Path
 
 import tyro
 
-from aicpg_newton.env.methods import run_name, with_method
-from aicpg_newton.env.task import Task, task_from_dict
+from aicpg_newton.env.methods import run_name
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.controllers import trained
@@ -23,7 +23,7 @@ from aicpg_newton.evaluation.run import Laboratory, evaluate, identity_of
 from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.training import CONFIG_NAME, RunOptions, train
-from tasks import get_task
+from tasks import get_task, task_from_dict
 
 PAPER = (
     "ai-cpg",
@@ -94,7 +94,7 @@ def trainings(options: CompareOptions) -> list[Training]:
     found = []
     for seed in options.seeds:
         for choice in options.methods:
-            task = with_method(get_task(options.task), choice)
+            task = get_task(options.task, choice)
             task = replace(task, learning=replace(task.learning, save_interval=options.save_interval))
             task.validate()
             found.append(Training(task, seed, options.out / f"{run_name(task)}_seed_{seed}"))

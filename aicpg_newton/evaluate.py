@@ -36,8 +36,8 @@ class EvaluateOptions:
     """auto, cpu or cuda:N."""
     num_envs: int = 64
     """Number of environments, shared out evenly among the frequencies."""
-    protocol: Literal["sweep", "disturbance", "transition", "command", "terrain", "training", "all"] = "all"
-    """What to do. command runs the sweep first where there is none; training needs run folders, terrain uneven ground;
+    protocol: Literal["sweep", "disturbance", "transition", "speed", "terrain", "training", "all"] = "all"
+    """What to do. speed runs the sweep first where there is none; training needs run folders, terrain uneven ground;
     all: all that the ground and the controllers allow, but training."""
     terrain_seed: tuple[int, ...] = ()
     """Seeds of uneven ground (terrain: all of them, other protocols: the first); 1001 to 1005 if none is given."""

@@ -5,17 +5,19 @@ play.py and evaluate find a task's network there by themselves; a baseline's fil
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 import yaml
 
 from aicpg_newton.env.methods import run_name
-from aicpg_newton.env.task import plain, task_from_dict
+from aicpg_newton.env.stored import plain, to_dict
 from aicpg_newton.errors import run_command
+from aicpg_newton.files import write_text
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.robot.humanoid import ASSETS
+from tasks import task_from_dict
 
 
 @dataclass(kw_only=True)
@@ -40,13 +42,13 @@ def publish(options: PublishOptions) -> Path:
     config = {
         "run": content["run"],
         "humanoid": content["humanoid"],
-        "task": plain(asdict(task)),
+        "task": plain(to_dict(task)),
         "trained": {"iterations": content["iteration"], "samples": content["samples"]},
     }
     options.out.mkdir(parents=True, exist_ok=True)
     target = options.out / f"{run_name(task)}.pt"
     checkpoint.save(checkpoint.without_optimiser(content), target)
-    target.with_suffix(".yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+    write_text(target.with_suffix(".yaml"), yaml.safe_dump(config, sort_keys=False))
     print(f"wrote {target} and {target.with_suffix('.yaml')}")
     return target
 

@@ -40,9 +40,9 @@ class PuppetEngine:
             foot_moment=torch.zeros(num_envs, 2, 3),
         )
 
-    def step(self, target, target_velocity, reflex_torque, *, push=None) -> None:
+    def step(self, target, target_velocity, torque, *, push=None) -> None:
         """Take the targets, then the overrides."""
-        self.calls.append({"target": target, "reflex_torque": reflex_torque, "push": push})
+        self.calls.append({"target": target, "torque": torque, "push": push})
         obeyed = {"joint_position": target.clone(), "joint_velocity": target_velocity.clone()}
         self.state = replace(self.state, **{**obeyed, **self.overrides})
 

@@ -16,9 +16,18 @@ from aicpg_newton.learning.time_to_walk import WalkingTime
 from tasks import get_task
 
 
+def quick(**options: Any) -> BenchmarkOptions:
+    """Options for the flat task on the CPU."""
+    return BenchmarkOptions(**{"settings": get_task("flat"), "device": "cpu", **options})
+
+
 def test_rates_of_an_engine(capsys: pytest.CaptureFixture):
     """All rates are positive on both grounds, and no environment is faster than its engine by more than noise."""
-    rows = benchmark(BenchmarkOptions(num_envs=(8,), engines=("mujoco",), device="cpu", seconds=0.2, iterations=1))
+    rows = benchmark(
+        BenchmarkOptions(
+            settings=get_task("flat"), num_envs=(8,), engines=("mujoco",), device="cpu", seconds=0.2, iterations=1
+        )
+    )
     assert [(row.engine, row.task, row.num_envs) for row in rows] == [("mujoco", "flat", 8), ("mujoco", "uneven", 8)]
     for row in rows:
         assert row.bare is not None and row.learning is not None
@@ -30,7 +39,11 @@ def test_rates_of_an_engine(capsys: pytest.CaptureFixture):
 
 def test_newton_reports_its_buffers():
     """Contacts and constraints were counted, and nothing overflowed."""
-    rows = benchmark(BenchmarkOptions(num_envs=(4,), engines=("newton",), device="cpu", seconds=0.1, iterations=0))
+    rows = benchmark(
+        BenchmarkOptions(
+            settings=get_task("flat"), num_envs=(4,), engines=("newton",), device="cpu", seconds=0.1, iterations=0
+        )
+    )
     for row in rows:
         contacts, constraints, *_, overflows = (float(word.split()[0]) for word in row.buffers.split(", "))
         assert contacts > 0
@@ -65,7 +78,7 @@ def test_bad_options(changes: dict, message: str):
     """One sentence each, for both ways to measure."""
     for measure in (benchmark, time_to_walk):
         with pytest.raises(UserError, match=message):
-            measure(BenchmarkOptions(**{"device": "cpu", **changes}))
+            measure(quick(**changes))
 
 
 def test_time_to_walk_of_some_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):

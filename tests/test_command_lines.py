@@ -25,7 +25,11 @@ def call(*arguments: str) -> subprocess.CompletedProcess[str]:
         (["train.py", "--resume", SHIPPED, "--task", "uneven"], "--task is uneven, but"),
         (["train.py", "--resume", SHIPPED, "--method", "ppo"], "--method is ppo, but"),
         (["train.py", "--physics.substeps", "3"], "physics.substeps is 3"),
-        (["train.py", "--rewards.weights.upright", "nan"], "rewards.weights.upright is nan"),
+        (["train.py", "--rewards.upright.weight", "nan"], "rewards.upright.weight is nan"),
+        (
+            ["train.py", "--rewards.pattern-tracking.reading", "mean"],
+            "reading is 'mean'; choose one of sum_of_magnitudes",
+        ),
         (["play.py", "--checkpoint", "nowhere.pt"], "no checkpoint at nowhere.pt"),
         (["play.py", "--task", "moon"], "unknown task 'moon'"),
         (["play.py", "--terrain-seed", "3"], "the ground of task 'flat' is a plane"),
@@ -54,6 +58,14 @@ def test_help_lists_the_settings_of_the_task():
     assert result.returncode == 0
     for option in ("--task", "--num-envs", "--device", "--max-iterations", "--seed", "--run-dir", "--resume"):
         assert option in result.stdout
-    for setting in ("--rewards.weights.pattern-tracking", "--frequencies.minimum", "--learning.hidden-sizes"):
+    for setting in ("--rewards.pattern-tracking.bound", "--frequencies.minimum", "--learning.hidden-sizes"):
         assert setting in result.stdout
-    assert "beta R_g" in result.stdout
+    assert "Highest f [Hz]" in result.stdout
+    assert "--target-speed" not in result.stdout.split("ground options")[1]
+
+
+def test_a_term_that_the_method_does_not_have_is_refused():
+    """It would do nothing."""
+    result = call("train.py", "--method", "ppo", "--rewards.pattern-tracking.weight", "2")
+    assert result.returncode == 2
+    assert "--rewards.pattern-tracking.weight" in result.stderr and "Traceback" not in result.stderr

@@ -9,7 +9,7 @@ import pytest
 
 from aicpg_newton import compare
 from aicpg_newton.compare import PAPER, CompareOptions, trainings
-from aicpg_newton.env.methods import METHODS
+from aicpg_newton.env.methods import METHODS, condition
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import results
@@ -22,8 +22,8 @@ from tasks import get_task
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tasks with little learning."""
 
-    def task(name: str) -> Task:
-        found = get_task(name)
+    def task(name: str, method: str) -> Task:
+        found = get_task(name, method)
         found.learning.hidden_sizes = (16,)
         found.learning.steps_per_iteration = 4
         found.learning.minibatches = found.learning.epochs = 1
@@ -48,7 +48,7 @@ def test_the_papers_comparison_has_all_methods():
     assert len(found) == 2 * len(PAPER) == 18
     assert [training.seed for training in found] == [0] * 9 + [1] * 9
     assert {training.task.method for training in found} == set(METHODS)
-    assert [training.task.target_speed for training in found[1:7]] == [1.5, 2.0, 2.5, 3.0, 3.5, 4.0]
+    assert [condition(training.task) for training in found[1:7]] == ["1.5", "2.0", "2.5", "3.0", "3.5", "4.0"]
     assert len({training.folder for training in found}) == 18
     assert found[3].folder == Path("x/flat_ppo_2.5_seed_0")
 

@@ -1,13 +1,13 @@
 """Shipping a checkpoint."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 import yaml
 
-from aicpg_newton.env.methods import with_method
+from aicpg_newton.env.stored import to_dict
 from aicpg_newton.env.task import Learning
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
@@ -24,8 +24,9 @@ def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):
     for iteration in (2, 9):
         checkpoint.write(
             run / f"model_{iteration}.pt",
-            task=asdict(replace(get_task("flat"), learning=Learning(hidden_sizes=(8, 4)))),
+            task=to_dict(replace(get_task("flat"), learning=Learning(hidden_sizes=(8, 4)))),
             pattern={"format": 1},
+            observations=[],
             run={"seed": 0},
             iteration=iteration,
             samples=100 * iteration,
@@ -55,8 +56,9 @@ def test_baselines_go_by_method_and_condition(tmp_path: Path, choice: str, name:
     """So that none takes the place of another."""
     checkpoint.write(
         tmp_path / "model_0.pt",
-        task=asdict(with_method(get_task("uneven"), choice)),
+        task=to_dict(get_task("uneven", choice)),
         pattern={},
+        observations=[],
         run={},
         iteration=1,
         samples=1,

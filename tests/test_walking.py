@@ -20,8 +20,7 @@ CPU = torch.device("cpu")
 def drive(engine: Engine, pattern: PatternNetwork, frequency: float) -> Environment:
     """An environment with all humanoids at one frequency."""
     environment = Environment(get_task("flat"), engine, pattern, seed=1)
-    environment.frequency = torch.full((engine.num_envs,), frequency)
-    environment.reset(torch.ones(engine.num_envs, dtype=torch.bool))
+    environment.restart(torch.full((engine.num_envs,), frequency))
     return environment
 
 
@@ -51,7 +50,7 @@ def test_joints_follow_the_pattern_with_the_pelvis_held_in_the_air(pattern: Patt
     """Gains, damping, joint order and signs are right if the limbs follow S with an RMS error under 0.15 rad."""
     engine = make_engine("mujoco", 8, CPU, humanoid.motors(), Physics())
     environment = drive(engine, pattern, 0.9)
-    environment.frequency = torch.linspace(0.8, 1.4, 8)
+    environment.restart(torch.linspace(0.8, 1.4, 8))
     height, upright = torch.tensor([0.0, 0.0, 3.0]).repeat(8, 1), torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(8, 1)
     everyone, still = torch.ones(8, dtype=torch.bool), torch.zeros(8, 3)
     errors = []

@@ -106,7 +106,7 @@ class Engine(Protocol):
         self,
         target: torch.Tensor,
         target_velocity: torch.Tensor,
-        reflex_torque: torch.Tensor,
+        torque: torch.Tensor,
         *,
         push: torch.Tensor | None = None,
     ) -> None:
@@ -117,7 +117,7 @@ class Engine(Protocol):
         Args:
             target: Target joint angles theta_t [rad], shape [num_envs, 28].
             target_velocity: Their rate [rad/s], shape [num_envs, 28].
-            reflex_torque: tau_r [N m], shape [num_envs, 28].
+            torque: tau_r [N m], shape [num_envs, 28].
             push: External force on the torso's centre of mass, world frame [N], shape [num_envs, 3], for this step.
         """
         ...

@@ -1,12 +1,15 @@
 """The humanoid as a Newton model: written once in MJCF, built here for every engine."""
 
+# MuJoCo's extension module has no type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import newton
 import torch
 import warp as wp
@@ -129,8 +132,8 @@ def _layout(robot: newton.ModelBuilder, mjcf: Path) -> Layout:
 
     links, shapes = names(robot.body_label), names(robot.shape_label)
     hinges_of_link = {
-        body.attrib["name"]: [joint.attrib["name"] for joint in body.findall("joint")]
-        for body in ElementTree.parse(mjcf).getroot().iter("body")
+        body.name: [joint.name for joint in body.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
+        for body in mujoco.MjSpec.from_file(str(mjcf)).bodies
     }
     hinges = [hinge for child in robot.joint_child for hinge in hinges_of_link[links[child]]]
     if sorted(hinges) != sorted(JOINT_NAMES) or sorted(links) != sorted(LINK_NAMES):

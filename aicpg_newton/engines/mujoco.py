@@ -22,12 +22,19 @@ from aicpg_newton.engines.model import ROOT_DOFS, build, make_solver
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot import rotations
-from aicpg_newton.robot.humanoid import FOOT_NAMES, HEAD_CENTRE, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors, joint_index
+from aicpg_newton.robot.humanoid import (
+    FOOT_NAMES,
+    HEAD_CENTRE,
+    LINK_NAMES,
+    MJCF_PATH,
+    NUM_JOINTS,
+    SPINE_JOINTS,
+    Motors,
+    joint_index,
+)
 
 _TORSO, _HEAD = LINK_NAMES.index("torso"), LINK_NAMES.index("head")
 
-_SPINE = tuple(joint_index(f"{part}_{axis}") for part in ("abdomen", "neck") for axis in "xyz")
-"""The hinges between pelvis, torso and head."""
 
 _XYZW = [4, 5, 6, 3]
 """Where MuJoCo's joint coordinates hold the root's quaternion, which it writes (w, x, y, z)."""
@@ -138,7 +145,7 @@ class MujocoEngine:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND.value
         self._coordinates = model.jnt_qposadr[joints]
         self._dofs = model.jnt_dofadr[joints]
-        self._spine = self._coordinates[list(_SPINE)]
+        self._spine = self._coordinates[[joint_index(name) for name in SPINE_JOINTS]]
         position_actuator = {}
         velocity_actuator = {}
         for actuator in range(model.nu):
@@ -157,12 +164,12 @@ class MujocoEngine:
         self,
         target: torch.Tensor,
         target_velocity: torch.Tensor,
-        reflex_torque: torch.Tensor,
+        torque: torch.Tensor,
         *,
         push: torch.Tensor | None = None,
     ) -> None:
         """See :meth:`Engine.step`. A torque on top of the PD law is a shift of its position target by tau_r / Kp."""
-        shifted = target.detach().double().numpy() + reflex_torque.detach().double().numpy() / self._position_gain
+        shifted = target.detach().double().numpy() + torque.detach().double().numpy() / self._position_gain
         inputs = np.zeros((self.num_envs, self._inputs.shape[2]))
         inputs[:, self._position_inputs] = shifted
         inputs[:, self._velocity_inputs] = target_velocity.detach().numpy()

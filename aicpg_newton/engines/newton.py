@@ -205,12 +205,12 @@ class NewtonEngine:
         self,
         target: torch.Tensor,
         target_velocity: torch.Tensor,
-        reflex_torque: torch.Tensor,
+        torque: torch.Tensor,
         *,
         push: torch.Tensor | None = None,
     ) -> None:
         """See :meth:`Engine.step`. A torque on top of the PD law is a shift of its position target by tau_r / Kp."""
-        self._target_q[:, self._coordinates] = target + reflex_torque / self._position_gain
+        self._target_q[:, self._coordinates] = target + torque / self._position_gain
         self._target_qd[:, self._dofs] = target_velocity
         for body_f in self._body_f:
             body_f.zero_()

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
 from aicpg_newton.engines import BodyState, Engine, RobotState, make_engine
-from aicpg_newton.env import observations, rewards
+from aicpg_newton.env.commands import Commands
 from aicpg_newton.env.methods import get_method
+from aicpg_newton.env.observations import observe
+from aicpg_newton.env.stored import to_dict
+from aicpg_newton.env.style import StyleView
 from aicpg_newton.env.task import Task
+from aicpg_newton.env.view import View
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
-from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import CONTROL_DT, NUM_JOINTS
 from aicpg_newton.robot.kinematics import sole_corners
 
@@ -28,8 +31,10 @@ class StepOutcome:
     """Robot state at the end of the step."""
     phase: torch.Tensor
     """Phase of the rhythm generator at the end of the step [rad], shape [num_envs]."""
-    reflex_torque: torch.Tensor
-    """Torque that the network asked for in the step, tau_r [N m], shape [num_envs, 28]."""
+    commands: Commands
+    """What the robots were told in the step."""
+    torque: torch.Tensor
+    """Torque that the network asked for in the step [N m], shape [num_envs, 28]: of AI-CPG the reflex tau_r."""
     ground_height: torch.Tensor
     """World height of the ground below the pelvis [m], shape [num_envs]."""
     reward_terms: dict[str, torch.Tensor]
@@ -60,27 +65,27 @@ class Environment(VecEnv):
         self.num_actions = NUM_JOINTS
         self.device = engine.device
         self.max_episode_length = task.termination.episode_steps
-        self.cfg = asdict(task)
+        self.cfg = to_dict(task)
         self.pattern = pattern.to(self.device)
         method = get_method(task.method)
         self.motors = method.motors().to(self.device)
         self._generator = torch.Generator(device=self.device).manual_seed(seed)
 
         n, zeros = self.num_envs, torch.zeros(self.num_envs, device=self.device)
-        share = (torch.arange(n, device=self.device) + 0.5) / n
-        span = task.frequencies.maximum - task.frequencies.minimum
-        self.frequency = task.frequencies.minimum + span * share
-        """Stride frequency f of each environment [Hz], shape [num_envs]; may be changed between any two steps."""
-        self.target_heading = zeros.clone()
-        """Yaw of the target direction in the world [rad], shape [num_envs]."""
+        self.commands = task.commands(n, self.device)
+        """What the robots are told; :meth:`command` changes it."""
+        self._commands_to_come: Commands | None = None
         self.phase = zeros.clone()
         self.level = torch.zeros(n, dtype=torch.long, device=self.device)
         """Level of the terrain that each robot starts its next episode on, shape [num_envs]."""
         self.episode_length_buf = torch.zeros(n, dtype=torch.long, device=self.device)
         self.actuation = method.actuation(task, self.pattern, self.motors, n, self._generator)
         """What turns actions into motor commands."""
+        self.blocks = (*method.actuation.blocks, *task.observations)
+        """What the network sees, in order."""
         self._flat = zeros
-        self._weights = {name: task.rewards.scale * weight for name, weight in asdict(task.rewards.weights).items()}
+        scale = task.learning.reward_scale
+        self._terms = {name: (scale * term.weight, term) for name, term in task.rewards.items()}
         self._push = torch.zeros(n, 3, device=self.device)
         self._push_clock = self._uniform(0.0, max(task.pushes.interval, CONTROL_DT))
         # Not episode_length_buf: the runner starts that at random numbers to spread the first time-outs.
@@ -105,11 +110,12 @@ class Environment(VecEnv):
         if not torch.isfinite(actions).all():
             raise UserError("the policy gave actions that are not finite; resume from an earlier checkpoint")
         self.engine.step(*self.actuation.command(actions, self.engine.state), push=self._pushes())
-        self.phase = advance_phase(self.phase, self.frequency)
-        self.actuation.follow(self.phase, self.frequency)
+        self.phase = advance_phase(self.phase, self.commands.frequency)
+        self.actuation.follow(self.phase, self.commands)
         self.episode_length_buf += 1
 
-        self.outcome = self._judge(self.engine.state)
+        self.outcome = self._judge()
+        self._obey()
         reward = torch.stack(list(self.outcome.reward_terms.values())).sum(dim=0)
         failed = self.outcome.fallen | self.outcome.off_course
         dones = failed | self.outcome.timed_out
@@ -119,39 +125,62 @@ class Environment(VecEnv):
         self.reset(dones)
         return self.get_observations(), reward, dones.to(torch.long), extras
 
-    def _judge(self, state: RobotState) -> StepOutcome:
-        """Falls and reward terms of a state."""
-        limits = self.task.termination
-        ground = self._ground_height(state.root_position)
-        upright = rewards.upright(state.root_rotation)
-        fallen = ~state.finite() | (state.root_position[:, 2] - ground < limits.minimum_height)
-        fallen |= upright < math.cos(math.radians(limits.maximum_tilt))
-        heading_cosine = torch.cos(rotations.yaw(state.root_rotation) - self.target_heading)
+    def command(self, *, frequency: torch.Tensor | None = None, heading: torch.Tensor | None = None) -> None:
+        """Tell the robots something else, from the end of the coming control step on.
+
+        The step that is about to begin has been planned: its observations have been seen. When it is over, phase,
+        target and observations change to the new commands at once.
+
+        Args:
+            frequency: Stride frequency f [Hz], shape [num_envs]; None leaves it as it is.
+            heading: Yaw of the target direction in the world [rad], shape [num_envs]; None leaves it as it is.
+        """
+        told = self.commands if self._commands_to_come is None else self._commands_to_come
+        given = {"frequency": frequency, "heading": heading}
+        self._commands_to_come = replace(told, **{name: value for name, value in given.items() if value is not None})
+
+    def _obey(self) -> None:
+        """Take over what :meth:`command` was given since the last step."""
+        if self._commands_to_come is not None:
+            self.commands, self._commands_to_come = self._commands_to_come, None
+            self.actuation.follow(self.phase, self.commands)
+
+    def _view(self) -> View:
+        """The robots as they are now."""
+        state, actuation = self.engine.state, self.actuation
+        return View(
+            state=state,
+            ground_height=self._ground_height(state.root_position),
+            commands=self.commands,
+            terrain=self.engine.terrain,
+            motors=self.motors,
+            torque=actuation.torque,
+            target=actuation.target,
+            target_velocity=actuation.target_velocity,
+        )
+
+    def _judge(self) -> StepOutcome:
+        """Falls and reward terms of the robots as they are now."""
+        limits, view = self.task.termination, self._view()
+        state = view.state
+        fallen = ~state.finite() | (view.height < limits.minimum_height)
+        fallen |= view.up < math.cos(math.radians(limits.maximum_tilt))
+        heading_cosine = torch.cos(view.roll_pitch_yaw[2] - self.commands.heading)
         off_course = ~fallen & (heading_cosine < math.cos(math.radians(limits.maximum_heading)))
         failed = fallen | off_course
         timed_out = self.episode_length_buf >= self.max_episode_length
         if self.engine.terrain is not None:
             timed_out = timed_out | ~self.engine.terrain.inside(state.root_position)
-
-        direction = torch.stack((torch.cos(self.target_heading), torch.sin(self.target_heading)), dim=1)
-        terms = {
-            "head_height": rewards.head_height(state.head_position, self._ground_height(state.head_position)),
-            "reflex_energy": rewards.reflex_energy(
-                self.actuation.torque, state.joint_velocity, self.motors.torque_limit
-            ),
-            "survival": rewards.survival(state.root_position),
-            "upright": upright,
-            "target_velocity": rewards.target_velocity(state.root_linear_velocity, direction),
-            "sideways_speed": rewards.sideways_speed(state.root_linear_velocity, direction),
-            **self.actuation.reward(state, direction),
-        }
         return StepOutcome(
             state=state,
             phase=self.phase,
-            reflex_torque=self.actuation.torque,
-            ground_height=ground,
+            commands=self.commands,
+            torque=view.torque,
+            ground_height=view.ground_height,
             # A fall sets the step's whole reward to zero (paper, Sec. II-A.2).
-            reward_terms={name: (self._weights[name] * term).masked_fill(failed, 0.0) for name, term in terms.items()},
+            reward_terms={
+                name: (weight * term(view)).masked_fill(failed, 0.0) for name, (weight, term) in self._terms.items()
+            },
             fallen=fallen,
             off_course=off_course,
             timed_out=timed_out & ~failed,
@@ -195,23 +224,15 @@ class Environment(VecEnv):
 
         Where a discriminator judges the style, also under ``style``, shape [num_envs, 81].
         """
-        state = self.engine.state
-        ground = self._ground_height(state.root_position)
-        observed = observations.observe(
-            state,
-            ground_height=ground,
-            torque=self.actuation.torque,
-            torque_limit=self.motors.torque_limit,
-            target_heading=self.target_heading,
-            control=self.actuation.observe(state),
-        )
-        style = self.actuation.style(state, ground)
-        seen = {"policy": observed} if style is None else {"policy": observed, "style": style}
+        view = self._view()
+        seen = {"policy": observe(self.blocks, view)}
+        if self.actuation.style_blocks:
+            seen["style"] = observe(self.actuation.style_blocks, StyleView(view.state, view.ground_height))
         return TensorDict(seen, batch_size=[self.num_envs], device=self.device)
 
     def restart(self, frequency: torch.Tensor) -> None:
         """Start new episodes in all environments, at these stride frequencies [Hz], shape [num_envs]."""
-        self.frequency = frequency
+        self.commands, self._commands_to_come = replace(self.commands, frequency=frequency), None
         self.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
 
     @torch.no_grad()
@@ -227,9 +248,9 @@ class Environment(VecEnv):
         if rows.numel() == 0:
             return
         self.phase = torch.where(mask, self._uniform(0.0, 2 * math.pi), self.phase)
-        self.actuation.follow(self.phase, self.frequency)
+        self.actuation.follow(self.phase, self.commands)
         speed_share = self._uniform(self.task.resets.minimum_speed, self.task.resets.maximum_speed)
-        start = self.actuation.start(self.phase[rows], self.frequency[rows], speed_share[rows])
+        start = self.actuation.start(self.phase[rows], self.commands.frequency[rows], speed_share[rows])
         self._place(start, rows)
         spread = {
             name: value.new_zeros(self.num_envs, value.shape[1]).index_copy(0, rows, value)

@@ -6,12 +6,15 @@ networks, number of samples and falls are the same.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 from aicpg_newton.env.actuation import Actuation, PatternActuation, TargetActuation, TorqueActuation
-from aicpg_newton.env.task import Task, task_from_dict
+from aicpg_newton.env.rewards import RewardTerm, pattern_terms, speed_terms
+from aicpg_newton.env.stored import to_dict, updated
+from aicpg_newton.env.task import ImitationTask, Learning, ReflexTask, SpeedTask, Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot import humanoid
 
@@ -22,12 +25,16 @@ class Method:
 
     title: str
     """Name in results and figures."""
+    task: type[Task]
+    """Its task's settings: those of every task, and its own."""
     actuation: type[Actuation]
     """What an action does, and what comes with that."""
+    rewards: Callable[[], dict[str, RewardTerm]] = dict
+    """Reward terms that come on top of the task's."""
     motors: Callable[[], humanoid.Motors] = humanoid.motors
     """Gains, limits and damping."""
-    settings: Callable[[Task], Task] = lambda task: task
-    """The task's settings where they have to differ."""
+    learning: Callable[[Learning], Learning] = lambda learning: learning
+    """The task's learning settings where they have to differ."""
     algorithm: str = "aicpg_newton.learning.ppo:BoundedPPO"
     """rsl_rl's algorithm, or the class that takes its place."""
     algorithm_settings: Callable[[Task], dict[str, Any]] = lambda task: {}
@@ -38,15 +45,15 @@ class Method:
     """Setting of the task that tells one training of the method from another; None where one network does all."""
 
 
-def _amp(task: Task) -> Task:
+def _amp_learning(learning: Learning) -> Learning:
     """The published fixed standard deviation of exp(-2.9), and with that fewer updates at a small fixed learning rate.
 
     With so small a deviation the KL divergence, by which the learning rate is adapted, and the policy ratios of mirror
     images tell nothing any more; equivariant networks have not been tried. Published are 5e-5 and 6 x 2 updates on 16
     times as many samples. The shipped network had 3 x 4 updates on 32 steps an iteration, as many for each sample.
     """
-    learning = replace(
-        task.learning,
+    return replace(
+        learning,
         network="mlp",
         initial_std=0.055,
         learn_std=False,
@@ -56,25 +63,32 @@ def _amp(task: Task) -> Task:
         learning_rate_schedule="fixed",
         symmetry=False,
     )
-    return replace(task, learning=learning)
+
+
+def _amp_settings(task: Task) -> dict[str, Any]:
+    task = cast(ImitationTask, task)
+    return {"reference_gait": task.reference, **to_dict(task.imitation)}
 
 
 DEFAULT_METHOD = "ai-cpg"
 
 METHODS = {
-    DEFAULT_METHOD: Method(title="AI-CPG", actuation=PatternActuation),
+    DEFAULT_METHOD: Method(title="AI-CPG", task=ReflexTask, actuation=PatternActuation, rewards=pattern_terms),
     "ppo": Method(
         title="PPO",
+        task=SpeedTask,
         actuation=TorqueActuation,
+        rewards=speed_terms,
         motors=humanoid.torque_motors,
         follows_frequency=False,
         condition="target_speed",
     ),
     "amp": Method(
         title="AMP",
+        task=ImitationTask,
         actuation=TargetActuation,
-        settings=_amp,
-        algorithm_settings=lambda task: {"reference_gait": task.reference, **asdict(task.imitation)},
+        learning=_amp_learning,
+        algorithm_settings=_amp_settings,
         algorithm="aicpg_newton.learning.amp:AdversarialMotionPriors",
         follows_frequency=False,
         condition="reference",
@@ -95,10 +109,10 @@ def get_method(name: str) -> Method:
 
 
 def with_method(task: Task, choice: str) -> Task:
-    """A task with the settings of a method.
+    """A task made complete by a method: its settings, its reward terms, its learning.
 
     Args:
-        task: Task of the registry.
+        task: What a file in ``tasks/`` says.
         choice: A method's name, or name and condition as ``ppo:1.5`` and ``amp:run``.
 
     Raises:
@@ -106,19 +120,26 @@ def with_method(task: Task, choice: str) -> Task:
     """
     name, _, wanted = choice.partition(":")
     method = get_method(name)
-    task = method.settings(replace(task, method=name))
+    own = {each.name: getattr(task, each.name) for each in dataclasses.fields(Task)}
+    complete = method.task(
+        **{
+            **own,
+            "method": name,
+            "rewards": {**task.rewards, **method.rewards()},
+            "learning": method.learning(task.learning),
+        }
+    )
     if not wanted:
-        return task
+        return complete
     if method.condition is None:
         raise UserError(f"method {name} has no conditions; give {name} in place of {choice!r}")
-    content = asdict(task)
     try:
-        content[method.condition] = type(content[method.condition])(wanted)
+        value = type(getattr(complete, method.condition))(wanted)
     except ValueError as error:
         raise UserError(f"{choice!r} does not give a number for {method.condition}") from error
-    changed = task_from_dict(content, f"method {choice!r}")
-    changed.validate()
-    return changed
+    complete = updated(complete, {method.condition: value}, f"method {choice!r}")
+    complete.validate()
+    return complete
 
 
 def condition(task: Task) -> str:
@@ -134,7 +155,12 @@ def run_name(task: Task) -> str:
 
 
 def on_task(own: Task, other: Task) -> Task:
-    """Another task's ground, commands, rewards and falls with the method and networks of a training's own task."""
-    field = get_method(own.method).condition
-    kept = ("method", "reflex", "learning", *(() if field is None else (field,)))
-    return replace(other, **{name: getattr(own, name) for name in kept})
+    """Another task's ground, commands, rewards and falls with the method and networks of a training's own task.
+
+    Args:
+        own: Task of the training.
+        other: Any task; what a method made of it does not count.
+    """
+    taken = ("name", "ground", "frequencies", "resets", "termination", "pushes", "physics")
+    rewards = {name: other.rewards.get(name, term) for name, term in own.rewards.items()}
+    return replace(own, rewards=rewards, **{name: getattr(other, name) for name in taken})

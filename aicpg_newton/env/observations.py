@@ -1,131 +1,114 @@
-"""What the reflex network sees, as a pure function of the state, and its left-right mirror image."""
+"""What a network sees, as a list of blocks, each of which declares values, layout and mirror image in one place."""
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import torch
 
-from aicpg_newton.engines.interface import RobotState
-from aicpg_newton.robot import rotations
-from aicpg_newton.robot.humanoid import (
-    GRAVITY,
-    MIRROR_AXIAL,
-    MIRROR_SIDES,
-    MIRROR_VECTOR,
-    NUM_JOINTS,
-    TOTAL_MASS,
-    mirror_blocks,
+from aicpg_newton.env.view import BodyView, View
+from aicpg_newton.gait.cpg import pd_torque
+from aicpg_newton.robot.mirror import (
+    AXIAL,
+    AXIALS_OF_SIDES,
+    EVEN,
+    JOINTS,
+    ODD,
+    VECTOR,
+    VECTORS_OF_SIDES,
+    Mirror,
+    joined,
 )
 
-BLOCKS = (
-    ("root_height", 1),
-    ("linear_velocity", 3),
-    ("angular_velocity", 3),
-    ("pitch_roll_target", 3),
-    ("up_and_heading", 2),
-    ("joint_position", NUM_JOINTS),
-    ("joint_velocity", NUM_JOINTS),
-    ("joint_torque", NUM_JOINTS),
-    ("foot_force", 6),
-    ("foot_moment", 6),
-    ("reflex_torque", NUM_JOINTS),
-    ("target", NUM_JOINTS),
-    ("cpg_torque", NUM_JOINTS),
+_View = TypeVar("_View", bound=BodyView)
+
+
+@dataclass(frozen=True)
+class Block(Generic[_View]):
+    """One quantity that is seen."""
+
+    name: str
+    mirror: Mirror
+    """Its left-right mirror image, and with that its size."""
+    function: Callable[[_View], torch.Tensor]
+    """Its values, shape [..., size]."""
+
+
+def observe(blocks: Iterable[Block[_View]], view: _View) -> torch.Tensor:
+    """All blocks, one behind the other, shape [..., sum of sizes]."""
+    return torch.cat([block.function(view) for block in blocks], dim=-1)
+
+
+def mirror_of(blocks: Iterable[Block]) -> Mirror:
+    """Mirror of all blocks, one behind the other."""
+    return joined(block.mirror for block in blocks)
+
+
+def layout(blocks: Iterable[Block]) -> list[list]:
+    """Name and size of each block, in order, as plain data."""
+    return [[block.name, block.mirror.size] for block in blocks]
+
+
+def differences(stored: Sequence[Sequence], own: Sequence[Sequence]) -> str:
+    """What a checkpoint's layout has that another lacks and the other way round, in words; empty where they agree."""
+    if list(map(tuple, stored)) == list(map(tuple, own)):
+        return ""
+    texts = []
+    for title, these, others in (("the checkpoint's", stored, own), ("these", own, stored)):
+        extra = [f"{name} ({size})" for name, size in these if [name, size] not in [list(each) for each in others]]
+        total = sum(size for _, size in these)
+        texts.append(f"{title} {total} numbers" + (f" with {', '.join(extra)}" if extra else ", in another order"))
+    return " against ".join(texts)
+
+
+BODY: tuple[Block[View], ...] = (
+    Block("root_height", EVEN, lambda view: view.height.unsqueeze(1)),
+    Block("linear_velocity", VECTOR, lambda view: view.in_heading_frame[:, :3]),
+    Block("angular_velocity", AXIAL, lambda view: view.in_heading_frame[:, 3:6]),
+    # The yaw itself would be the angle to the target once more; the up projection alone has no sign for the pitch.
+    Block("pitch", EVEN, lambda view: view.roll_pitch_yaw[1].unsqueeze(1)),
+    Block("roll", ODD, lambda view: view.roll_pitch_yaw[0].unsqueeze(1)),
+    Block("angle_to_target", ODD, lambda view: view.angle_to_target.unsqueeze(1)),
+    Block("up", EVEN, lambda view: view.up.unsqueeze(1)),
+    Block("cosine_to_target", EVEN, lambda view: torch.cos(view.angle_to_target).unsqueeze(1)),
+    Block("joint_position", JOINTS, lambda view: view.state.joint_position),
+    Block("joint_velocity", JOINTS, lambda view: view.state.joint_velocity),
+    Block("joint_torque", JOINTS, lambda view: view.state.joint_torque / view.motors.torque_limit),
+    Block("foot_force", VECTORS_OF_SIDES, lambda view: view.in_heading_frame[:, 6:12]),
+    Block("foot_moment", AXIALS_OF_SIDES, lambda view: view.in_heading_frame[:, 12:18]),
+    Block("action_torque", JOINTS, lambda view: view.torque / view.motors.torque_limit),
 )
-"""Name and size of each block, in order."""
+"""What every network sees of its body: 136 numbers (paper, Sec. II-A.2).
 
-NUM_OBSERVATIONS = sum(size for _, size in BLOCKS)
-"""192 (paper, Sec. II-A.2); the baselines have no ``target`` and ``cpg_torque`` and see 136."""
-
-BODY_WEIGHT = TOTAL_MASS * GRAVITY
-"""Unit of foot forces [N]."""
-
-FOOT_LEVER = 0.1
-"""Times the body weight, the unit of foot moments [m]: about the distance from ankle to toe."""
+Vectors are in the heading frame, torques in units of the joint's limit. ``action_torque`` is what the network asked for
+in the last step, tau_r.
+"""
 
 
-def observe(
-    state: RobotState,
-    *,
-    ground_height: torch.Tensor | float = 0.0,
-    torque: torch.Tensor,
-    torque_limit: torch.Tensor,
-    target_heading: torch.Tensor,
-    control: tuple[torch.Tensor, ...],
-) -> torch.Tensor:
-    """Observations of the reflex network (paper, Sec. II-A.2).
+def _target(view: View) -> torch.Tensor:
+    """theta_t [rad]."""
+    assert view.target is not None
+    return view.target
 
-    Vectors are in the heading frame: the world turned about the vertical by the pelvis's yaw. The yaw itself would be
-    the angle to the target once more, so pitch stands in its place; up projection alone has no sign for it.
 
-    Args:
-        state: Robot state after the last control step.
-        ground_height: World height of the ground below the pelvis [m], shape [num_envs].
-        torque: tau_r of the last step [N m], shape [num_envs, 28].
-        torque_limit: Torque limit per joint [N m], shape [28]; torques are given in units of it.
-        target_heading: Yaw of the target direction in the world [rad], shape [num_envs].
-        control: What the way of control adds: for AI-CPG theta_t [rad] and tau_g in units of the limit, each of shape
-            [num_envs, 28]; for the baselines nothing.
-
-    Returns:
-        Observations in the order of :data:`BLOCKS`: shape [num_envs, 192], or the first 136 without the CPG.
-    """
-    roll, pitch, yaw = rotations.roll_pitch_yaw(state.root_rotation)
-    angle_to_target = torch.remainder(target_heading - yaw + torch.pi, 2 * torch.pi) - torch.pi
-    # All vectors at once: on a CPU the number of operations costs more than their size.
-    vectors = torch.cat(
-        (
-            state.root_linear_velocity.unsqueeze(1),
-            state.root_angular_velocity.unsqueeze(1),
-            state.foot_force / BODY_WEIGHT,
-            state.foot_moment / (BODY_WEIGHT * FOOT_LEVER),
-        ),
-        dim=1,
+def _cpg_torque(view: View) -> torch.Tensor:
+    """tau_g of Eq. 4, in units of the limit."""
+    assert view.target is not None and view.target_velocity is not None
+    torque = pd_torque(
+        view.target,
+        view.target_velocity,
+        view.state.joint_position,
+        view.state.joint_velocity,
+        position_gain=view.motors.position_gain,
+        velocity_gain=view.motors.velocity_gain,
     )
-    to_heading = rotations.about_z(-yaw).unsqueeze(1).expand(-1, vectors.shape[1], 4)
-    vectors = rotations.rotate(to_heading, vectors).flatten(1)
-    up = rotations.up_axis(state.root_rotation)[:, 2]
-    blocks = (
-        (state.root_position[:, 2] - ground_height).unsqueeze(1),
-        vectors[:, :6],
-        torch.stack((pitch, roll, angle_to_target, up, torch.cos(angle_to_target)), dim=1),
-        state.joint_position,
-        state.joint_velocity,
-        state.joint_torque / torque_limit,
-        vectors[:, 6:],
-        torque / torque_limit,
-        *control,
-    )
-    return torch.cat(blocks, dim=1)
+    return torque / view.motors.torque_limit
 
 
-@cache
-def _mirror_map() -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Permutation and sign of all observations under a reflection y -> -y, which swaps right and left."""
-    maps = {
-        "root_height": ((0,), (1.0,)),
-        "linear_velocity": ((0, 1, 2), MIRROR_VECTOR),
-        "angular_velocity": ((0, 1, 2), MIRROR_AXIAL),
-        "pitch_roll_target": ((0, 1, 2), (1.0, -1.0, -1.0)),
-        "up_and_heading": ((0, 1), (1.0, 1.0)),
-        "foot_force": (MIRROR_SIDES, MIRROR_VECTOR * 2),
-        "foot_moment": (MIRROR_SIDES, MIRROR_AXIAL * 2),
-    }
-    return mirror_blocks(BLOCKS, maps)
-
-
-def mirror_map(size: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Permutation and sign under a reflection y -> -y: ``mirrored[i] = sign[i] * observed[permutation[i]]``.
-
-    Args:
-        size: 192, or 136 without the CPG, whose observations are the first blocks.
-    """
-    permutation, sign = _mirror_map()
-    return permutation[:size], sign[:size]
-
-
-def mirror(observations: torch.Tensor) -> torch.Tensor:
-    """Left-right mirror image of observations, shape [..., 192 or 136]; mirroring twice is the identity."""
-    permutation, sign = mirror_map(observations.shape[-1])
-    return observations[..., list(permutation)] * observations.new_tensor(sign)
+PATTERN: tuple[Block[View], ...] = (
+    Block("target", JOINTS, _target),
+    Block("cpg_torque", JOINTS, _cpg_torque),
+)
+"""What a network beside a CPG sees of it: 56 numbers more, 192 in all."""

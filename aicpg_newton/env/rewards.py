@@ -1,15 +1,23 @@
-"""Reward terms of Eq. 5-8 as pure functions of tensors; the task weights them, the environment adds them up.
+"""Reward terms of Eq. 5-8: what each is, its weight, and which of them a task has.
 
-All take batches and return shape [num_envs]; the weights stand in :class:`aicpg_newton.env.task.RewardWeights`.
+A term is a function of a :class:`~aicpg_newton.env.view.View` that returns shape [num_envs], declared in one of the
+tables at the end of this file, or in a task's own file. ``docs/extending.md`` shows how to add one.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+import inspect
+import math
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
 import torch
+import tyro
 
-from aicpg_newton.robot import rotations
+from aicpg_newton.env.view import View
+from aicpg_newton.errors import UserError
 
 PatternError = Literal["sum_of_magnitudes", "magnitude_of_sum"]
 """Reading of Eq. 7: sum_j |e_j|, or |sum_j e_j| as printed, in which errors of opposite sign cancel."""
@@ -18,93 +26,126 @@ VELOCITY_SCALE = 0.1
 """Scale of joint velocities in R_e [s/rad], as in the Isaac Gym humanoid."""
 
 
-def head_height(head_position: torch.Tensor, ground_height: torch.Tensor | float = 0.0) -> torch.Tensor:
-    """R_h: height of the head's centre above the ground below it [m].
+@dataclass
+class RewardTerm:
+    """One term of the reward, logged as Episode_Reward/<name>: weighted, mean per step."""
 
-    Args:
-        head_position: World position of the head's centre [m], shape [num_envs, 3].
-        ground_height: World height of the ground below it [m], shape [num_envs].
-    """
-    return head_position[:, 2] - ground_height
+    function: Annotated[Callable[..., torch.Tensor], tyro.conf.Suppress]
+    """Takes the view, and the parameters by name; returns shape [num_envs]."""
+    weight: float
+    """Factor of the term in Eq. 5."""
+    parameters: Annotated[dict[str, Any], tyro.conf.arg(name="")] = field(default_factory=dict)
+    """Numbers and choices of the function."""
+
+    def __call__(self, view: View) -> torch.Tensor:
+        """The term before its weight, shape [num_envs]."""
+        return self.function(view, **self.parameters)
+
+    def validate(self, name: str) -> None:
+        """Refuse a weight or a parameter that the function cannot take.
+
+        Args:
+            name: Dotted name of the term, for messages.
+
+        Raises:
+            UserError: A number is not finite, or a parameter is missing, unknown or not one of its choices.
+        """
+        if not math.isfinite(self.weight):
+            raise UserError(f"{name}.weight is {self.weight}; give a finite number")
+        wanted = list(inspect.signature(self.function).parameters)[1:]
+        if set(wanted) != set(self.parameters):
+            raise UserError(f"{name} has the parameters {list(self.parameters)}, but its function takes {wanted}")
+        hints = typing.get_type_hints(self.function)
+        for parameter, value in self.parameters.items():
+            choices = typing.get_args(hints[parameter]) if typing.get_origin(hints[parameter]) is Literal else None
+            if choices is not None and value not in choices:
+                raise UserError(f"{name}.{parameter} is {value!r}; choose one of {', '.join(choices)}")
+            if hints[parameter] is float and not (math.isfinite(value) and value > 0.0):
+                raise UserError(f"{name}.{parameter} is {value}; give a positive number")
 
 
-def reflex_energy(
-    reflex_torque: torch.Tensor, joint_velocity: torch.Tensor, torque_limit: torch.Tensor
-) -> torch.Tensor:
-    """R_e = sum_j |tau_j w_j| + tau_j^2 of the reflex alone (Eq. 6).
+def head_height(view: View) -> torch.Tensor:
+    """R_h: height of the head's centre above the ground below it [m]."""
+    return view.state.head_position[:, 2] - view.ground_below(view.state.head_position)
+
+
+def action_energy(view: View) -> torch.Tensor:
+    """R_e = sum_j |tau_j w_j| + tau_j^2 of the network's torque (Eq. 6): of AI-CPG the reflex alone.
 
     Torques count in units of the joint's limit and velocities in units of 10 rad/s, so that the term stays of the order
     of the survival reward.
-
-    Args:
-        reflex_torque: tau_r [N m], shape [num_envs, 28].
-        joint_velocity: Joint velocities [rad/s], shape [num_envs, 28].
-        torque_limit: Torque limit per joint [N m], shape [28].
     """
-    torque = reflex_torque / torque_limit
-    return (torch.abs(torque * VELOCITY_SCALE * joint_velocity) + torque**2).sum(dim=1)
+    torque = view.torque / view.motors.torque_limit
+    return (torch.abs(torque * VELOCITY_SCALE * view.state.joint_velocity) + torque**2).sum(dim=1)
 
 
-def survival(root_position: torch.Tensor) -> torch.Tensor:
+def survival(view: View) -> torch.Tensor:
     """R_a: one for each step survived."""
-    return torch.ones_like(root_position[:, 0])
+    return torch.ones_like(view.height)
 
 
-def upright(root_rotation: torch.Tensor) -> torch.Tensor:
-    """R_s = z_global . z_pelvis: 1 when the pelvis is upright, 0 when it lies.
-
-    Args:
-        root_rotation: Pelvis rotation (x, y, z, w), shape [num_envs, 4].
-    """
-    return rotations.up_axis(root_rotation)[:, 2]
+def upright(view: View) -> torch.Tensor:
+    """R_s = z_global . z_pelvis: 1 when the pelvis is upright, 0 when it lies."""
+    return view.up
 
 
-def target_velocity(root_linear_velocity: torch.Tensor, target_direction: torch.Tensor) -> torch.Tensor:
-    """R_d: velocity along the target direction [m/s].
-
-    Args:
-        root_linear_velocity: World velocity of the pelvis [m/s], shape [num_envs, 3].
-        target_direction: Horizontal unit vector in the world, shape [num_envs, 2].
-    """
-    return (root_linear_velocity[:, :2] * target_direction).sum(dim=1)
+def target_velocity(view: View) -> torch.Tensor:
+    """R_d: velocity along the target direction [m/s]."""
+    return (view.state.root_linear_velocity[:, :2] * view.direction).sum(dim=1)
 
 
-def sideways_speed(root_linear_velocity: torch.Tensor, target_direction: torch.Tensor) -> torch.Tensor:
-    """Speed across the target direction [m/s]; not in the paper, keeps the path straight. Arguments as above."""
-    x, y = root_linear_velocity[:, :2].unbind(dim=1)
-    return torch.abs(target_direction[:, 0] * y - target_direction[:, 1] * x)
+def sideways_speed(view: View) -> torch.Tensor:
+    """Speed across the target direction [m/s]; not in the paper, keeps the path straight."""
+    x, y = view.state.root_linear_velocity[:, :2].unbind(dim=1)
+    return torch.abs(view.direction[:, 0] * y - view.direction[:, 1] * x)
 
 
-def pattern_error(target: torch.Tensor, joint_position: torch.Tensor, reading: PatternError) -> torch.Tensor:
-    """Error e of Eq. 7 [rad].
+def pattern_tracking(view: View, bound: float, reading: PatternError) -> torch.Tensor:
+    """R_g = 1 - e/b for e <= b, else 0 (Eq. 8), with the error e of Eq. 7 [rad].
 
     Args:
-        target: Target angles theta_t [rad], shape [num_envs, 28].
-        joint_position: Joint angles theta [rad], shape [num_envs, 28].
-        reading: How to sum over the joints.
-    """
-    error = target - joint_position
-    return error.abs().sum(dim=1) if reading == "sum_of_magnitudes" else error.sum(dim=1).abs()
-
-
-def pattern_tracking(error: torch.Tensor, bound: float) -> torch.Tensor:
-    """R_g = 1 - e/b for e <= b, else 0 (Eq. 8).
-
-    Args:
-        error: e [rad], shape [num_envs].
+        view: With a CPG's target.
         bound: b [rad].
+        reading: How e is summed over the joints.
     """
+    assert view.target is not None
+    errors = view.target - view.state.joint_position
+    error = errors.abs().sum(dim=1) if reading == "sum_of_magnitudes" else errors.sum(dim=1).abs()
     return (1.0 - error / bound).clamp_min(0.0)
 
 
-def target_speed(speed: torch.Tensor, wanted: float) -> torch.Tensor:
-    """R_t of the PPO baseline: 1 at the wanted speed, falling straight to 0 at standstill and at twice that speed.
+def target_speed(view: View) -> torch.Tensor:
+    """R_t of the PPO baseline: 1 at the speed told, falling straight to 0 at standstill and at twice that speed.
 
     The paper (Sec. III-A) says only that R_t sets the target velocity; this is the form of its R_g (Eq. 8) with the
-    error of the speed for e and the wanted speed for b. Weighted like R_g it outweighs R_d, which always asks for more.
-
-    Args:
-        speed: Velocity along the target direction [m/s], shape [num_envs].
-        wanted: Target speed [m/s].
+    error of the speed for e and the speed told for b. Weighted like R_g it outweighs R_d, which always asks for more.
     """
-    return (1.0 - (speed - wanted).abs() / wanted).clamp_min(0.0)
+    wanted = view.commands.speed
+    assert wanted is not None
+    return (1.0 - (target_velocity(view) - wanted).abs() / wanted).clamp_min(0.0)
+
+
+def common_terms() -> dict[str, RewardTerm]:
+    """Terms that every method has."""
+    return {
+        "head_height": RewardTerm(head_height, 1.0),
+        "action_energy": RewardTerm(action_energy, -0.5),
+        "survival": RewardTerm(survival, 1.0),
+        "upright": RewardTerm(upright, 1.0),
+        "target_velocity": RewardTerm(target_velocity, 1.0),
+        "sideways_speed": RewardTerm(sideways_speed, -0.5),
+    }
+
+
+def pattern_terms() -> dict[str, RewardTerm]:
+    """What AI-CPG adds: beta R_g.
+
+    As printed (``magnitude_of_sum``, with b = 2.5) errors cancel, and speed stopped following f in a first trial; the
+    sum of 28 magnitudes is larger, hence another b.
+    """
+    return {"pattern_tracking": RewardTerm(pattern_tracking, 5.0, {"bound": 5.0, "reading": "sum_of_magnitudes"})}
+
+
+def speed_terms() -> dict[str, RewardTerm]:
+    """What the PPO baseline has in place of R_g: beta R_t."""
+    return {"target_speed": RewardTerm(target_speed, 5.0)}

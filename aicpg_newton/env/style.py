@@ -1,54 +1,72 @@
-"""What a motion prior sees of the humanoid at one instant, its mirror image, and the same of the imitated gaits."""
+"""What a motion prior sees of the humanoid at one instant, its mirror image, and the same of the imitated gaits.
+
+(Peng et al. 2021, Sec. 5.2; this humanoid in Isaac Gym.) Vectors are in the heading frame: the world turned about the
+vertical by the pelvis's yaw. The pelvis rotation is given by its x axis and its z axis, hands and feet by where they
+are from the pelvis. Joints stay angles, as each is a single hinge that never comes near a full turn; the published
+state has 105 numbers, as it gives each three-hinge joint as tangent and normal.
+"""
 
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cached_property
 
 import torch
 
 from aicpg_newton.engines.interface import BodyState
+from aicpg_newton.env.observations import Block, observe
+from aicpg_newton.env.view import BodyView
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.gait.poses import gait_pose
 from aicpg_newton.robot import rotations
-from aicpg_newton.robot.humanoid import (
-    CONTROL_DT,
-    FOOT_NAMES,
-    MIRROR_AXIAL,
-    MIRROR_SIDES,
-    MIRROR_VECTOR,
-    NUM_JOINTS,
-    mirror_blocks,
-)
+from aicpg_newton.robot.humanoid import CONTROL_DT, FOOT_NAMES, HAND_CENTRE, HAND_LINKS
 from aicpg_newton.robot.kinematics import forward_kinematics
+from aicpg_newton.robot.mirror import AXIAL, EVEN, JOINTS, VECTOR, VECTORS_OF_SIDES
 
-BLOCKS = (
-    ("root_height", 1),
-    ("root_rotation", 6),
-    ("linear_velocity", 3),
-    ("angular_velocity", 3),
-    ("joint_position", NUM_JOINTS),
-    ("joint_velocity", NUM_JOINTS),
-    ("hand_position", 6),
-    ("foot_position", 6),
+
+class StyleView(BodyView):
+    """Bodies at an instant, with what the blocks below share."""
+
+    @cached_property
+    def tilt(self) -> torch.Tensor:
+        """Pelvis rotation in the heading frame (x, y, z, w), shape [..., 4]."""
+        return rotations.multiply(self.to_heading, self.state.root_rotation)
+
+    def axis(self, number: int) -> torch.Tensor:
+        """An axis of the pelvis (0: x, 1: y, 2: z) in the heading frame, shape [..., 3]."""
+        unit = torch.eye(3, dtype=self.tilt.dtype, device=self.tilt.device)[number]
+        return rotations.rotate(self.tilt, unit.expand(*self.tilt.shape[:-1], 3))
+
+    def vector(self, world: torch.Tensor) -> torch.Tensor:
+        """A vector of the world in the heading frame, shape [..., 3]."""
+        return rotations.rotate(self.to_heading, world)
+
+    @cached_property
+    def hands_and_feet(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Positions of hands and of ankles from the pelvis, in the heading frame [m], each of shape [..., 2, 3]."""
+        origin = torch.zeros_like(self.state.root_position)
+        links = (*HAND_LINKS, *FOOT_NAMES)
+        positions, turned = forward_kinematics(origin, self.tilt, self.state.joint_position, links)
+        hand = positions.new_tensor(HAND_CENTRE).expand_as(positions[..., :2, :])
+        return positions[..., :2, :] + rotations.rotate(turned[..., :2, :], hand), positions[..., 2:, :]
+
+
+BLOCKS: tuple[Block[StyleView], ...] = (
+    Block("root_height", EVEN, lambda view: view.height.unsqueeze(-1)),
+    Block("root_forward", VECTOR, lambda view: view.axis(0)),
+    Block("root_up", VECTOR, lambda view: view.axis(2)),
+    Block("linear_velocity", VECTOR, lambda view: view.vector(view.state.root_linear_velocity)),
+    Block("angular_velocity", AXIAL, lambda view: view.vector(view.state.root_angular_velocity)),
+    Block("joint_position", JOINTS, lambda view: view.state.joint_position),
+    Block("joint_velocity", JOINTS, lambda view: view.state.joint_velocity),
+    Block("hand_position", VECTORS_OF_SIDES, lambda view: view.hands_and_feet[0].flatten(-2)),
+    Block("foot_position", VECTORS_OF_SIDES, lambda view: view.hands_and_feet[1].flatten(-2)),
 )
-"""Name and size of each block, in order; hands and feet are ordered right, left."""
-
-STYLE_SIZE = sum(size for _, size in BLOCKS)
-"""81. The published state has 105: it gives each three-hinge joint as tangent and normal instead of three angles."""
-
-HAND_CENTRE = (0.0, 0.0, -0.259)
-"""Centre of the hand's sphere in the lower arm's frame [m]."""
-
-_KEY_LINKS = ("right_lower_arm", "left_lower_arm", *FOOT_NAMES)
+"""A style state: 81 numbers. Hands and feet are ordered right, left."""
 
 
 def style_state(state: BodyState, ground_height: torch.Tensor) -> torch.Tensor:
-    """One instant as the discriminator sees it (Peng et al. 2021, Sec. 5.2; this humanoid in Isaac Gym).
-
-    Vectors are in the heading frame: the world turned about the vertical by the pelvis's yaw. The pelvis rotation is
-    given by its x axis and its z axis, hands and feet by their position relative to the pelvis. Joints stay angles, as
-    each is a single hinge that never comes near a full turn.
+    """One instant as the discriminator sees it.
 
     Args:
         state: Poses and velocities, of any batch shape.
@@ -57,44 +75,7 @@ def style_state(state: BodyState, ground_height: torch.Tensor) -> torch.Tensor:
     Returns:
         Style states, shape [..., 81], in the order of :data:`BLOCKS`.
     """
-    to_heading = rotations.about_z(-rotations.yaw(state.root_rotation))
-    tilt = rotations.multiply(to_heading, state.root_rotation)
-    forward, _, up = torch.eye(3, dtype=tilt.dtype, device=tilt.device).expand(*tilt.shape[:-1], 3, 3).unbind(-2)
-    origin = torch.zeros_like(state.root_position)
-    links, link_rotations = forward_kinematics(origin, tilt, state.joint_position, _KEY_LINKS)
-    hand = links.new_tensor(HAND_CENTRE).expand_as(links[..., :2, :])
-    blocks = (
-        (state.root_position[..., 2] - ground_height).unsqueeze(-1),
-        rotations.rotate(tilt, forward),
-        rotations.rotate(tilt, up),
-        rotations.rotate(to_heading, state.root_linear_velocity),
-        rotations.rotate(to_heading, state.root_angular_velocity),
-        state.joint_position,
-        state.joint_velocity,
-        (links[..., :2, :] + rotations.rotate(link_rotations[..., :2, :], hand)).flatten(-2),
-        links[..., 2:, :].flatten(-2),
-    )
-    return torch.cat(blocks, dim=-1)
-
-
-@cache
-def _mirror_map() -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Permutation and sign of a style state under a reflection y -> -y, which swaps right and left."""
-    maps = {
-        "root_height": ((0,), (1.0,)),
-        "root_rotation": ((0, 1, 2, 3, 4, 5), MIRROR_VECTOR * 2),
-        "linear_velocity": ((0, 1, 2), MIRROR_VECTOR),
-        "angular_velocity": ((0, 1, 2), MIRROR_AXIAL),
-        "hand_position": (MIRROR_SIDES, MIRROR_VECTOR * 2),
-        "foot_position": (MIRROR_SIDES, MIRROR_VECTOR * 2),
-    }
-    return mirror_blocks(BLOCKS, maps)
-
-
-def mirror(style: torch.Tensor) -> torch.Tensor:
-    """Left-right mirror image of style states, shape [..., 81]; mirroring twice is the identity."""
-    permutation, sign = _mirror_map()
-    return style[..., list(permutation)] * style.new_tensor(sign)
+    return observe(BLOCKS, StyleView(state, ground_height))
 
 
 def reference_motion(pattern: PatternNetwork, gait: str, *, phases: int = 512) -> torch.Tensor:

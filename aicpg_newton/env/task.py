@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import typing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
+import torch
 import tyro
 
 from aicpg_newton.engines.interface import Physics
 from aicpg_newton.engines.terrain import Ground
-from aicpg_newton.env.rewards import PatternError
+from aicpg_newton.env.commands import Commands
+from aicpg_newton.env.observations import Block
+from aicpg_newton.env.rewards import RewardTerm, common_terms
+from aicpg_newton.env.view import View
 from aicpg_newton.errors import UserError
 
 Schedule = Literal["iteration", "minibatch", "fixed"]
@@ -30,42 +33,6 @@ class Frequencies:
     """Lowest f [Hz] (paper, Sec. III-A)."""
     maximum: float = 1.4
     """Highest f [Hz] (paper, Sec. III-A)."""
-
-
-@dataclass(kw_only=True)
-class RewardWeights:
-    """Factor of each reward term; the sum is Eq. 5. Logged as Episode_Reward/<name>, weighted, per step."""
-
-    head_height: float = 1.0
-    """R_h, height of the head [m]."""
-    reflex_energy: float = -0.5
-    """-alpha R_e, effort of the reflex."""
-    survival: float = 1.0
-    """R_a."""
-    upright: float = 1.0
-    """R_s."""
-    target_velocity: float = 1.0
-    """R_d, velocity in the target direction [m/s]."""
-    pattern_tracking: float = 5.0
-    """beta R_g, following the CPG."""
-    target_speed: float = 5.0
-    """beta R_t, which the PPO baseline has in place of R_g."""
-    sideways_speed: float = -0.5
-    """Cost on sideways speed [m/s]; not in the paper (0 there), keeps the path straight."""
-
-
-@dataclass(kw_only=True)
-class Rewards:
-    """Reward of Eq. 5-8."""
-
-    weights: RewardWeights = field(default_factory=RewardWeights)
-    """Factor of each term."""
-    pattern_error: PatternError = "sum_of_magnitudes"
-    """Reading of Eq. 7. As printed (magnitude_of_sum) errors cancel, and speed stopped following f in a first trial."""
-    pattern_error_bound: float = 5.0
-    """b of Eq. 8 [rad]. The paper's 2.5 goes with the printed reading; the sum of 28 magnitudes is larger."""
-    scale: float = 0.01
-    """Factor on the whole reward: a return is then of the order of one, which the critic learns soonest."""
 
 
 @dataclass(kw_only=True)
@@ -135,6 +102,8 @@ class Learning:
     """Passes over the collected samples."""
     minibatches: int = 4
     """Minibatches per pass."""
+    reward_scale: float = 0.01
+    """Factor on the whole reward: a return is then of the order of one, which the critic learns soonest."""
     learning_rate: float = 5e-4
     """Learning rate, or that at the start if it is adaptive."""
     learning_rate_schedule: Schedule = "iteration"
@@ -164,6 +133,46 @@ class Learning:
     """Learn from every sample and its left-right mirror image, where the network is an mlp: the other has no need."""
     save_interval: int = 100
     """Iterations between checkpoints."""
+
+    def validate(self) -> None:
+        """Refuse settings that cannot be learned with.
+
+        Raises:
+            UserError: A number is out of its range.
+        """
+        positive = {
+            "initial_std": self.initial_std,
+            "steps_per_iteration": self.steps_per_iteration,
+            "epochs": self.epochs,
+            "minibatches": self.minibatches,
+            "save_interval": self.save_interval,
+            "reward_scale": self.reward_scale,
+            "learning_rate": self.learning_rate,
+            "minimum_learning_rate": self.minimum_learning_rate,
+            "desired_kl": self.desired_kl,
+            "clip": self.clip,
+            "maximum_gradient_norm": self.maximum_gradient_norm,
+            "hidden_sizes": min(self.hidden_sizes, default=0),
+            "critic_hidden_sizes": min(self.critic_hidden_sizes, default=1),
+        }
+        for name, value in positive.items():
+            if value <= 0:
+                raise UserError(f"learning.{name} is {value}; give a positive number")
+        low, high = self.minimum_learning_rate, self.maximum_learning_rate
+        if not low <= self.learning_rate <= high:
+            raise UserError(
+                f"learning.learning_rate is {self.learning_rate}, outside of its bounds {low} to {high};"
+                " change it, or learning.minimum-learning-rate and learning.maximum-learning-rate"
+            )
+        odd = [size for size in (*self.hidden_sizes, *self.critic_hidden_sizes) if size % 2]
+        if self.network == "equivariant" and odd:
+            raise UserError(
+                f"layers of an equivariant network have a right and a left half, but one has {odd[0]} units; give even"
+                " numbers"
+            )
+        for name, value in {"discount": self.discount, "gae_lambda": self.gae_lambda}.items():
+            if not 0.0 <= value <= 1.0:
+                raise UserError(f"learning.{name} is {value}; give a number from 0 to 1")
 
 
 @dataclass(kw_only=True)
@@ -201,26 +210,32 @@ class Imitation:
 
 @dataclass(kw_only=True)
 class Task:
-    """One task: ground, commands, rewards, resets and the learning that goes with them."""
+    """One task: ground, commands, rewards, resets and the learning that goes with them.
+
+    A method makes it complete: see :mod:`aicpg_newton.env.methods`.
+    """
 
     name: Annotated[str, tyro.conf.Suppress]
     """Name in the registry ``tasks/__init__.py``."""
-    method: Annotated[str, tyro.conf.Suppress] = "ai-cpg"
-    """Name in the registry ``aicpg_newton/methods.py``."""
-    target_speed: float = 1.5
-    """Speed that the PPO baseline is to reach [m/s]; the paper's are 1.5, 2.0, 2.5, 3.0, 3.5 and 4.0."""
-    reference: Literal["walk", "run"] = "walk"
-    """Gait that the AMP baseline imitates."""
+    method: Annotated[str, tyro.conf.Suppress] = ""
+    """Name in the registry ``aicpg_newton/env/methods.py``."""
     ground: Ground = field(default_factory=Ground)
     frequencies: Frequencies = field(default_factory=Frequencies)
-    reflex: Reflex = field(default_factory=Reflex)
-    rewards: Rewards = field(default_factory=Rewards)
+    rewards: dict[str, RewardTerm] = field(default_factory=common_terms)
+    """Terms of Eq. 5; each is logged as Episode_Reward/<name>."""
+    observations: Annotated[tuple[Block[View], ...], tyro.conf.Suppress] = ()
+    """What the network sees besides what its method shows it."""
     resets: Resets = field(default_factory=Resets)
     termination: Termination = field(default_factory=Termination)
     pushes: Pushes = field(default_factory=Pushes)
     physics: Physics = field(default_factory=Physics)
     learning: Learning = field(default_factory=Learning)
-    imitation: Imitation = field(default_factory=Imitation)
+
+    def commands(self, num_envs: int, device: torch.device | str) -> Commands:
+        """What the robots are told at first: frequencies spread evenly over the range, straight on."""
+        share = (torch.arange(num_envs, device=device) + 0.5) / num_envs
+        span = self.frequencies.maximum - self.frequencies.minimum
+        return Commands(frequency=self.frequencies.minimum + span * share, heading=torch.zeros(num_envs, device=device))
 
     def validate(self) -> None:
         """Refuse settings that cannot be run.
@@ -231,61 +246,76 @@ class Task:
         for name, value in _numbers(self):
             if not math.isfinite(value):
                 raise UserError(f"{name} is {value}; give a finite number")
+        for name, value in self._positive().items():
+            if value <= 0:
+                raise UserError(f"{name} is {value}; give a positive number")
         self.physics.validate()
         self.ground.validate()
+        self.learning.validate()
+        for name, term in self.rewards.items():
+            term.validate(f"rewards.{name}")
         if not 0 < self.frequencies.minimum <= self.frequencies.maximum:
             raise UserError(
                 f"frequencies run from {self.frequencies.minimum} to {self.frequencies.maximum} Hz;"
                 " give a positive minimum no larger than the maximum"
             )
-        positive = {
-            "target_speed": self.target_speed,
-            "reflex.torque_share": self.reflex.torque_share,
-            "rewards.pattern_error_bound": self.rewards.pattern_error_bound,
-            "termination.episode_steps": self.termination.episode_steps,
-            "pushes.duration": self.pushes.duration,
-            "pushes.interval": self.pushes.interval,
-            "learning.initial_std": self.learning.initial_std,
-            "learning.steps_per_iteration": self.learning.steps_per_iteration,
-            "learning.epochs": self.learning.epochs,
-            "learning.minibatches": self.learning.minibatches,
-            "learning.save_interval": self.learning.save_interval,
-            "learning.learning_rate": self.learning.learning_rate,
-            "learning.minimum_learning_rate": self.learning.minimum_learning_rate,
-            "learning.desired_kl": self.learning.desired_kl,
-            "learning.clip": self.learning.clip,
-            "learning.maximum_gradient_norm": self.learning.maximum_gradient_norm,
-            "learning.hidden_sizes": min(self.learning.hidden_sizes, default=0),
-            "learning.critic_hidden_sizes": min(self.learning.critic_hidden_sizes, default=1),
-            "imitation.discriminator_hidden_sizes": min(self.imitation.discriminator_hidden_sizes, default=0),
-            "imitation.discriminator_batch": self.imitation.discriminator_batch,
-            "imitation.replay_size": self.imitation.replay_size,
-            "imitation.discriminator_learning_rate": self.imitation.discriminator_learning_rate,
-        }
-        for name, value in positive.items():
-            if value <= 0:
-                raise UserError(f"{name} is {value}; give a positive number")
-        low, high = self.learning.minimum_learning_rate, self.learning.maximum_learning_rate
-        if not low <= self.learning.learning_rate <= high:
-            raise UserError(
-                f"learning.learning_rate is {self.learning.learning_rate}, outside of its bounds {low} to {high};"
-                " change it, or learning.minimum-learning-rate and learning.maximum-learning-rate"
-            )
-        odd = [size for size in (*self.learning.hidden_sizes, *self.learning.critic_hidden_sizes) if size % 2]
-        if self.learning.network == "equivariant" and odd:
-            raise UserError(
-                f"layers of an equivariant network have a right and a left half, but one has {odd[0]} units; give even"
-                " numbers"
-            )
-        shares = {"learning.discount": self.learning.discount, "learning.gae_lambda": self.learning.gae_lambda}
-        for name, value in shares.items():
-            if not 0.0 <= value <= 1.0:
-                raise UserError(f"{name} is {value}; give a number from 0 to 1")
         if not 0.0 <= self.resets.minimum_speed <= self.resets.maximum_speed:
             raise UserError(
                 f"start speeds run from {self.resets.minimum_speed} to {self.resets.maximum_speed} of the gait's own;"
                 " give a minimum of at least 0 and no larger than the maximum"
             )
+
+    def _positive(self) -> dict[str, float]:
+        """Settings that have to be above zero, by name."""
+        return {
+            "termination.episode_steps": self.termination.episode_steps,
+            "pushes.duration": self.pushes.duration,
+            "pushes.interval": self.pushes.interval,
+        }
+
+
+@dataclass(kw_only=True)
+class ReflexTask(Task):
+    """A task of a network that gives torques, on top of a CPG's (AI-CPG) or alone."""
+
+    reflex: Reflex = field(default_factory=Reflex)
+
+    def _positive(self) -> dict[str, float]:
+        return {**super()._positive(), "reflex.torque_share": self.reflex.torque_share}
+
+
+@dataclass(kw_only=True)
+class SpeedTask(ReflexTask):
+    """A task of the PPO baseline."""
+
+    target_speed: float = 1.5
+    """Speed that is to be reached [m/s]; the paper's are 1.5, 2.0, 2.5, 3.0, 3.5 and 4.0."""
+
+    def commands(self, num_envs: int, device: torch.device | str) -> Commands:
+        """See :meth:`Task.commands`; the speed as well."""
+        told = super().commands(num_envs, device)
+        return replace(told, speed=torch.full((num_envs,), self.target_speed, device=device))
+
+    def _positive(self) -> dict[str, float]:
+        return {**super()._positive(), "target_speed": self.target_speed}
+
+
+@dataclass(kw_only=True)
+class ImitationTask(Task):
+    """A task of the AMP baseline."""
+
+    reference: Literal["walk", "run"] = "walk"
+    """Gait that is imitated."""
+    imitation: Imitation = field(default_factory=Imitation)
+
+    def _positive(self) -> dict[str, float]:
+        return {
+            **super()._positive(),
+            "imitation.discriminator_hidden_sizes": min(self.imitation.discriminator_hidden_sizes, default=0),
+            "imitation.discriminator_batch": self.imitation.discriminator_batch,
+            "imitation.replay_size": self.imitation.replay_size,
+            "imitation.discriminator_learning_rate": self.imitation.discriminator_learning_rate,
+        }
 
 
 def _numbers(settings: Any, prefix: str = "") -> list[tuple[str, float]]:
@@ -298,71 +328,3 @@ def _numbers(settings: Any, prefix: str = "") -> list[tuple[str, float]]:
         elif isinstance(value, (int, float)):
             found.append((prefix + each.name, float(value)))
     return found
-
-
-def plain(value: Any) -> Any:
-    """Nested settings with lists in the place of tuples, for YAML."""
-    if isinstance(value, dict):
-        return {key: plain(each) for key, each in value.items()}
-    return [plain(each) for each in value] if isinstance(value, (list, tuple)) else value
-
-
-def task_from_dict(content: Any, source: str) -> Task:
-    """Rebuild a task from ``dataclasses.asdict``, as stored in checkpoints.
-
-    Settings that a checkpoint does not know yet take what was done when it was written: :data:`_BEFORE` for those whose
-    default has changed since, their default for all others.
-
-    Args:
-        content: Nested dictionary.
-        source: Where it comes from, for messages.
-
-    Raises:
-        UserError: A setting is unknown, or has the wrong kind of value.
-    """
-    if isinstance(content, dict) and isinstance(content.get("learning"), dict):
-        learning = dict(content["learning"])
-        if "adaptive_learning_rate" in learning:  # the schedule's name until there were three
-            learning["learning_rate_schedule"] = "minibatch" if learning.pop("adaptive_learning_rate") else "fixed"
-        content = {**content, "learning": {**_BEFORE, **learning}}
-    return _from_dict(Task, content, source)
-
-
-_BEFORE = {
-    "value_clipping": True,
-    "network": "mlp",
-    "learning_rate_schedule": "minibatch",
-    "minimum_learning_rate": 1e-5,
-    "maximum_learning_rate": 1e-2,
-}
-"""Learning settings that were not settings once, with what was done then."""
-
-
-def _has_no_default(setting: dataclasses.Field) -> bool:
-    return setting.default is dataclasses.MISSING and setting.default_factory is dataclasses.MISSING
-
-
-def _from_dict(kind: type, content: Any, source: str) -> Any:
-    names = {each.name for each in dataclasses.fields(kind)}
-    given = set(content) if isinstance(content, dict) else None
-    required = {each.name for each in dataclasses.fields(kind) if _has_no_default(each)}
-    if given is None or not required <= given <= names:
-        different = ", ".join(sorted((given or set()) - names | required - (given or set())))
-        raise UserError(
-            f"{source} holds settings of another version ({kind.__name__}: {different or 'no settings'});"
-            " use the version of the code that wrote it"
-        )
-    hints = typing.get_type_hints(kind)
-    values = {}
-    for name, value in content.items():
-        hint = hints[name]
-        if dataclasses.is_dataclass(hint):
-            value = _from_dict(typing.cast(type, hint), value, source)
-        elif typing.get_origin(hint) is tuple:
-            value = tuple(value)
-        elif typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
-            raise UserError(f"{source} holds {value!r} for {name}; it should be one of {typing.get_args(hint)}")
-        elif hint in (int, float, bool, str) and not isinstance(value, (int, float) if hint is float else hint):
-            raise UserError(f"{source} holds {value!r} for {name}; it should be of type {hint.__name__}")
-        values[name] = value
-    return kind(**values)

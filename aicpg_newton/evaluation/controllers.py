@@ -10,12 +10,13 @@ from typing import Any
 import torch
 
 from aicpg_newton.env.methods import condition, get_method, on_task
-from aicpg_newton.env.task import Task, task_from_dict
+from aicpg_newton.env.task import Task
 from aicpg_newton.evaluation import metrics
 from aicpg_newton.evaluation.protocols import PROTOCOLS
 from aicpg_newton.evaluation.summaries import TRANSITION_FROUDE
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint
+from aicpg_newton.learning.policy import Trained
 
 
 @dataclass
@@ -89,13 +90,13 @@ def trained(path: Path, task: Task | None = None) -> Controller:
         UserError: A checkpoint is missing, torn or of another version.
     """
     files = checkpoint.all_of(path) if path.is_dir() else [path]
-    content = checkpoint.read(files[-1])
-    own = task_from_dict(content["task"], str(path))
+    last = Trained.read(files[-1])
+    own = last.task
     return Controller(
         method=get_method(own.method).title,
-        seed=int(content["run"]["seed"]),
+        seed=int(last.content["run"]["seed"]),
         task=own if task is None else on_task(own, task),
-        pattern=PatternNetwork.from_content(content["pattern"], str(path)),
+        pattern=last.pattern,
         files=files,
         terrain_seed=own.ground.seed if own.ground.uneven else None,
     )

@@ -13,15 +13,8 @@ import torch
 
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.robot import rotations
-from aicpg_newton.robot.humanoid import (
-    CONTROL_DT,
-    GRAVITY,
-    JOINT_NAMES,
-    LEG_LENGTH,
-    MIRROR_PERMUTATION,
-    MIRROR_SIGN,
-    TOTAL_MASS,
-)
+from aicpg_newton.robot.humanoid import CONTROL_DT, GRAVITY, JOINT_NAMES, LEG_LENGTH, TOTAL_MASS
+from aicpg_newton.robot.mirror import JOINTS
 
 CONTACT_FORCE = 0.05 * TOTAL_MASS * GRAVITY
 """A foot that carries more than this is on the ground [N]. 5 % of body weight, 24 N: the level used with force plates
@@ -54,8 +47,8 @@ _NEXT_LANDING = 0.75
 _LEGS = [JOINT_NAMES.index(f"{side}_{joint}") for side in ("right", "left") for joint in ("hip_y", "knee")]
 
 _RIGHT = [index for index, name in enumerate(JOINT_NAMES) if name.startswith("right_")]
-_LEFT = [MIRROR_PERMUTATION[index] for index in _RIGHT]
-_SIGN = [MIRROR_SIGN[index] for index in _RIGHT]
+_LEFT = [JOINTS.permutation[index] for index in _RIGHT]
+_SIGN = [JOINTS.sign[index] for index in _RIGHT]
 
 
 def masked_mean(values: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:

@@ -30,7 +30,7 @@ class Protocol:
     duration: float
     """Simulated time [s]."""
     frequencies: tuple[float, ...]
-    """Stride frequency at the start [Hz], one per condition; the environments are shared out evenly among them."""
+    """Stride frequency at the start [Hz], one per group; the environments are shared out evenly among them."""
     columns: tuple[str, ...]
     """Columns of the CSV file; ``reason`` says why a cell is empty."""
     ramp: float = 0.0
@@ -56,7 +56,7 @@ class Protocol:
         return round(self.duration * CONTROL_RATE)
 
     @property
-    def conditions(self) -> int:
+    def groups(self) -> int:
         """Number of groups the environments are shared out among."""
         return self.commanded_speeds or len(self.frequencies)
 
@@ -110,8 +110,8 @@ TRANSITION = Protocol(
 )
 """From walking to running with f(t) = 0.7 + 0.023 t (Fig. 4 and 6)."""
 
-COMMAND = Protocol(
-    name="command",
+SPEED = Protocol(
+    name="speed",
     duration=20.0,
     frequencies=(),
     columns=("method", "seed", "commanded_mps", "frequency_hz", "speed_mps", "error_mps", "survived", "reason"),
@@ -145,5 +145,5 @@ TRAINING = Protocol(
 )
 """Where robots go that are controlled by the checkpoints of a training, from its first to its last (Fig. 5 a)."""
 
-PROTOCOLS = {protocol.name: protocol for protocol in (SWEEP, DISTURBANCE, TRANSITION, COMMAND, TERRAIN, TRAINING)}
-"""In the order in which they are run; ``command`` needs the sweep."""
+PROTOCOLS = {protocol.name: protocol for protocol in (SWEEP, DISTURBANCE, TRANSITION, SPEED, TERRAIN, TRAINING)}
+"""In the order in which they are run; ``speed`` needs the sweep."""

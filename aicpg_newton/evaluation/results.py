@@ -9,6 +9,7 @@ same controllers on the same ground.
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import os
@@ -18,6 +19,7 @@ from typing import Any
 
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation.protocols import PROTOCOLS
+from aicpg_newton.files import write_text
 
 Row = dict[str, Any]
 """Column to number or text; None or NaN for a cell without a number."""
@@ -76,14 +78,12 @@ def write(folder: Path, name: str, rows: Sequence[Row], description: dict[str, A
     for line in lines:
         needed = [text for column, text in line.items() if column not in ("reason", *_TOLD)]
         assert line["reason"] or (all(needed) and any(line.get(column) for column in _TOLD)), line
-    temporary = folder / f"{name}.partial"
-    with temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(lines)
-    os.replace(temporary, folder / f"{name}.csv")
-    temporary.write_text(json.dumps(_plain(description), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(temporary, folder / f"{name}.json")
+    table = io.StringIO(newline="")
+    writer = csv.DictWriter(table, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    write_text(folder / f"{name}.csv", table.getvalue())
+    write_text(folder / f"{name}.json", json.dumps(_plain(description), indent=1, allow_nan=False) + "\n")
 
 
 def read_table(folder: Path, name: str) -> list[Row]:

@@ -23,9 +23,9 @@ from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import metrics, results, summaries, terrain_summaries
 from aicpg_newton.evaluation.controllers import Controller, ground_of
 from aicpg_newton.evaluation.protocols import (
-    COMMAND,
     DISTURBANCE,
     PROTOCOLS,
+    SPEED,
     SWEEP,
     TERRAIN,
     TERRAIN_SEEDS,
@@ -34,9 +34,10 @@ from aicpg_newton.evaluation.protocols import (
     Protocol,
 )
 from aicpg_newton.evaluation.summaries import Source
-from aicpg_newton.evaluation.trajectories import SHORTEST, WARM_UP, Recording, record
+from aicpg_newton.evaluation.trajectories import SHORTEST, WARM_UP, Trajectories, record
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.policy import load_policy
+from aicpg_newton.playing.rollout import no_action
 from aicpg_newton.robot import humanoid
 
 _IDLE = 1.0  # stride frequency of the rhythm generator where nothing follows it [Hz]
@@ -47,7 +48,7 @@ class Laboratory:
     """Where controllers are tested; engines are built once for each kind of physics, ground and motors.
 
     Args:
-        num_envs: Number of environments, shared out evenly among a protocol's conditions.
+        num_envs: Number of environments, shared out evenly among a protocol's groups.
         engine: ``newton``, ``mujoco`` or ``auto``.
         device: Torch device's name, or ``auto``.
         seed: Seed of start states and pushes.
@@ -82,12 +83,12 @@ class Laboratory:
         controller: Controller,
         content: dict[str, Any] | None,
         terrain_seed: int,
-    ) -> Recording:
+    ) -> Trajectories:
         """Run a protocol with one checkpoint.
 
         Args:
             protocol: What is done.
-            frequencies: Stride frequency of each condition [Hz]; NaN for a controller that follows none.
+            frequencies: Stride frequency of each group [Hz]; NaN for a controller that follows none.
             controller: Who is tested.
             content: Content of the checkpoint; None for no reflexes.
             terrain_seed: Seed of the ground, unless that is a plane.
@@ -96,7 +97,7 @@ class Laboratory:
         task.pushes = protocol.pushes()
         task.termination.episode_steps = protocol.steps + 1
         environment = Environment(task, self.engine_of(task), controller.pattern, seed=self.seed)
-        agent = _no_reflex if content is None else load_policy(environment, content)
+        agent = no_action if content is None else load_policy(environment, content)
         label = f"{protocol.name:12}{controller.title}, iteration {0 if content is None else content['iteration']}"
         if protocol.every_terrain:
             label += f", terrain {terrain_seed}"
@@ -139,11 +140,11 @@ def check(protocols: Sequence[Protocol], controllers: Sequence[Controller], labo
         UserError: Too few environments, controllers that the results could not tell apart or compare, terrain that a
             controller was trained on, or a protocol without what it needs.
     """
-    most = max(protocols, key=lambda each: each.conditions)
-    needed = most.conditions if any(controller.follows_frequency for controller in controllers) else 1
+    most = max(protocols, key=lambda each: each.groups)
+    needed = most.groups if any(controller.follows_frequency for controller in controllers) else 1
     if laboratory.num_envs < needed:
         raise UserError(
-            f"--num-envs is {laboratory.num_envs}, but the {most.name} protocol has {needed} conditions;"
+            f"--num-envs is {laboratory.num_envs}, but the {most.name} protocol has {needed} groups;"
             " give at least one environment each"
         )
     titles = [controller.title for controller in controllers]
@@ -189,7 +190,7 @@ def evaluate(
     """Run protocols with controllers and write their CSV and JSON files.
 
     Args:
-        protocols: What to do; ``command`` brings the sweep along where the folder holds none. Controllers that follow
+        protocols: What to do; ``speed`` brings the sweep along where the folder holds none. Controllers that follow
             no stride frequency are left out where it is turned.
         controllers: Each of another method, condition or seed; all on the same ground.
         laboratory: Where they are tested.
@@ -205,7 +206,7 @@ def evaluate(
             f"the {protocols[0].name} protocol turns the stride frequency, which {controllers[0].title} does not"
             " follow; choose another protocol"
         )
-    if COMMAND.name in wanted and not (folder / f"{SWEEP.name}.csv").exists():
+    if SPEED.name in wanted and not (folder / f"{SWEEP.name}.csv").exists():
         wanted.setdefault(SWEEP.name, SWEEP)  # whose curve the commands need
         check([SWEEP], controllers, laboratory)
     identity = identity_of(controllers, laboratory)
@@ -266,18 +267,18 @@ def _one(
     first, *others = laboratory.terrain_seeds
     if reading is None:
         sweep = results.read_table(folder, SWEEP.name)
-        speeds, given = summaries.commands(sweep, source, protocol.commanded_speeds)
+        speeds, given = summaries.speeds_to_command(sweep, source, protocol.commanded_speeds)
         if len(speeds):
             frequencies = torch.from_numpy(given).float()
-            recording = laboratory.test(protocol, frequencies, controller, content, first)
-            rows, summary = summaries.command_rows(recording, frequencies, speeds, source)
+            trajectories = laboratory.test(protocol, frequencies, controller, content, first)
+            rows, summary = summaries.speed_rows(trajectories, frequencies, speeds, source)
         else:
             laboratory.engine_of(on_terrain(controller.task, first))  # the results name it
-            rows, summary = summaries.no_commands(source)
+            rows, summary = summaries.no_speeds(source)
     else:
         for terrain_seed in (first, *(others if protocol.every_terrain else ())):
-            recording = laboratory.test(protocol, frequencies, controller, content, terrain_seed)
-            new, summary = reading(recording, frequencies, replace(source, terrain_seed=terrain_seed))
+            trajectories = laboratory.test(protocol, frequencies, controller, content, terrain_seed)
+            new, summary = reading(trajectories, frequencies, replace(source, terrain_seed=terrain_seed))
             rows += new
         if protocol.every_terrain:
             summary = terrain_summaries.over_terrains(rows)
@@ -285,7 +286,7 @@ def _one(
     return rows, {**names, "iteration": iteration, **summary}
 
 
-_READINGS: dict[str, Callable[[Recording, torch.Tensor, Source], tuple[list[results.Row], dict[str, Any]]]] = {
+_READINGS: dict[str, Callable[[Trajectories, torch.Tensor, Source], tuple[list[results.Row], dict[str, Any]]]] = {
     SWEEP.name: summaries.sweep_rows,
     DISTURBANCE.name: summaries.disturbance_rows,
     TRANSITION.name: summaries.transition_rows,
@@ -309,11 +310,6 @@ def _definitions() -> dict[str, Any]:
         "points_along_and_across_a_sole": metrics.SOLE_GRID,
         "falls": "pelvis low or tilted, or facing away from the target by more than the task's angle",
     }
-
-
-def _no_reflex(observed: torch.Tensor) -> torch.Tensor:
-    """Actions of the CPG alone."""
-    return observed.new_zeros(len(observed), humanoid.NUM_JOINTS)
 
 
 def _no_bar(step: int) -> None:

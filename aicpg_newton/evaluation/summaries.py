@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from aicpg_newton.evaluation import metrics
-from aicpg_newton.evaluation.protocols import COMMAND
+from aicpg_newton.evaluation.protocols import SPEED
 from aicpg_newton.evaluation.results import Row
-from aicpg_newton.evaluation.trajectories import SHORTEST, Recording, sole_clearance
+from aicpg_newton.evaluation.trajectories import SHORTEST, Trajectories, sole_clearance
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
 
 FLIGHT_THRESHOLD = 1.5 / 60
@@ -33,7 +33,7 @@ POSES = 11
 
 @dataclass(frozen=True)
 class Source:
-    """Whose recording it is."""
+    """Whose trajectories it is."""
 
     method: str
     seed: int
@@ -62,26 +62,26 @@ def _std(values: torch.Tensor) -> float:
     return float(finite.std(correction=0)) if len(finite) else math.nan
 
 
-def groups(recording: Recording, conditions: int) -> list[Recording]:
-    """The recording of each condition."""
-    return [recording.among(recording.condition == index) for index in range(conditions)]
+def groups(trajectories: Trajectories, number: int) -> list[Trajectories]:
+    """The trajectories of each group."""
+    return [trajectories.among(trajectories.group == index) for index in range(number)]
 
 
-def steady_measures(recording: Recording) -> dict[str, torch.Tensor]:
+def steady_measures(trajectories: Trajectories) -> dict[str, torch.Tensor]:
     """All measures of steady locomotion, each of shape [num_envs]; NaN where an environment did not last.
 
     They count the steps of the first episode after its first second, if these are a second or more.
     """
-    valid = recording.settled
+    valid = trajectories.settled
     valid = valid & (valid.sum(dim=0) >= SHORTEST)
-    period = metrics.stride_period(recording.joint_position, valid)
-    strides = recording.contact, valid, period
+    period = metrics.stride_period(trajectories.joint_position, valid)
+    strides = trajectories.contact, valid, period
     return {
-        "speed_mps": metrics.masked_mean(recording.speed, valid),
-        "cost_of_transport": metrics.cost_of_transport(recording.power, recording.speed, valid),
+        "speed_mps": metrics.masked_mean(trajectories.speed, valid),
+        "cost_of_transport": metrics.cost_of_transport(trajectories.power, trajectories.speed, valid),
         # Left limbs are compared half a stride after right ones; see the function for why.
-        "symmetry_index": metrics.symmetry_index(recording.joint_position, valid, 0.5 * period),
-        "balance_index": metrics.balance_index(recording.root_rotation, valid),
+        "symmetry_index": metrics.symmetry_index(trajectories.joint_position, valid, 0.5 * period),
+        "balance_index": metrics.balance_index(trajectories.root_rotation, valid),
         "flight_ratio": metrics.flight_ratio(*strides),
         "stride_frequency_hz": CONTROL_RATE / period,
         "duty_factor": metrics.duty_factor(*strides),
@@ -89,18 +89,18 @@ def steady_measures(recording: Recording) -> dict[str, torch.Tensor]:
     }
 
 
-def sole_measures(recording: Recording) -> dict[str, torch.Tensor]:
+def sole_measures(trajectories: Trajectories) -> dict[str, torch.Tensor]:
     """How deep feet in contact are in the ground and how high above it [m], each of shape [num_envs].
 
     All steps of the first episode count: even a robot that soon falls can be seen to sink in.
     """
-    depth, hover = metrics.sole_penetration(sole_clearance(recording), recording.contact, recording.standing)
+    depth, hover = metrics.sole_penetration(sole_clearance(trajectories), trajectories.contact, trajectories.standing)
     return {"sole_penetration_m": depth, "sole_hover_m": hover}
 
 
-def steady_row(recording: Recording, frequency: float, source: Source) -> Row:
-    """All that is read off one condition of steady locomotion, in the columns of any protocol."""
-    measures = {name: _mean(values) for name, values in steady_measures(recording).items()}
+def steady_row(trajectories: Trajectories, frequency: float, source: Source) -> Row:
+    """All that is read off one group in steady locomotion, in the columns of any protocol."""
+    measures = {name: _mean(values) for name, values in steady_measures(trajectories).items()}
     speed = measures["speed_mps"]
     reasons = []
     if math.isnan(speed):
@@ -113,19 +113,21 @@ def steady_row(recording: Recording, frequency: float, source: Source) -> Row:
     return {
         **source.row(frequency),
         **measures,
-        **{name: _mean(values) for name, values in sole_measures(recording).items()},
+        **{name: _mean(values) for name, values in sole_measures(trajectories).items()},
         "froude": float(metrics.froude_number(torch.tensor(speed))),
-        "survived": float((~recording.fallen.any(dim=0)).float().mean()),
-        "falls_per_minute": _mean(metrics.falls_per_minute(recording.fallen)),
+        "survived": float((~trajectories.fallen.any(dim=0)).float().mean()),
+        "falls_per_minute": _mean(metrics.falls_per_minute(trajectories.fallen)),
         "reason": "; ".join(reasons),
     }
 
 
-def sweep_rows(recording: Recording, frequencies: torch.Tensor, source: Source) -> tuple[list[Row], dict[str, Any]]:
+def sweep_rows(
+    trajectories: Trajectories, frequencies: torch.Tensor, source: Source
+) -> tuple[list[Row], dict[str, Any]]:
     """A row per frequency; strides and feet on the ground for the summary."""
     rows = [
         steady_row(group, frequency, source)
-        for frequency, group in zip(frequencies.tolist(), groups(recording, len(frequencies)), strict=True)
+        for frequency, group in zip(frequencies.tolist(), groups(trajectories, len(frequencies)), strict=True)
     ]
     names = ("frequency_hz", "stride_frequency_hz", "duty_factor", "flight_share_of_strides")
     names += ("sole_penetration_m", "sole_hover_m")
@@ -133,22 +135,22 @@ def sweep_rows(recording: Recording, frequencies: torch.Tensor, source: Source) 
 
 
 def disturbance_rows(
-    recording: Recording, frequencies: torch.Tensor, source: Source
+    trajectories: Trajectories, frequencies: torch.Tensor, source: Source
 ) -> tuple[list[Row], dict[str, Any]]:
     """Falls per minute and mean speed at each frequency, over all episodes of the minute."""
     rows = []
-    valid = recording.age >= SHORTEST
-    valid &= ~recording.fallen
+    valid = trajectories.age >= SHORTEST
+    valid &= ~trajectories.fallen
     for index, frequency in enumerate(frequencies.tolist()):
-        mine = recording.condition == index
-        # All steps of the condition as one: an environment that falls more often has fewer steps to tell a speed from.
-        speed = metrics.masked_mean(recording.speed[:, mine].reshape(-1, 1), valid[:, mine].reshape(-1, 1))
+        mine = trajectories.group == index
+        # All steps of the group as one: an environment that falls more often has fewer steps to tell a speed from.
+        speed = metrics.masked_mean(trajectories.speed[:, mine].reshape(-1, 1), valid[:, mine].reshape(-1, 1))
         rows.append(
             {
                 **source.row(frequency),
                 "iteration": source.iteration,
                 "speed_mps": float(speed),
-                "falls_per_minute": _mean(metrics.falls_per_minute(recording.fallen[:, mine])),
+                "falls_per_minute": _mean(metrics.falls_per_minute(trajectories.fallen[:, mine])),
                 "reason": "no environment ever walked for more than a second" if math.isnan(float(speed)) else "",
             }
         )
@@ -156,13 +158,13 @@ def disturbance_rows(
 
 
 def transition_rows(
-    recording: Recording, frequencies: torch.Tensor, source: Source
+    trajectories: Trajectories, frequencies: torch.Tensor, source: Source
 ) -> tuple[list[Row], dict[str, Any]]:
     """A row per control step over the environments in their first episode, and the changes of gait."""
-    settled = recording.settled
-    speed = metrics.moving_mean(recording.speed, settled, WINDOW)
-    flight = metrics.moving_mean((~recording.contact.any(dim=2)).float(), settled, WINDOW)
-    standing, upright = recording.standing, recording.fallen.cumsum(dim=0) == 0
+    settled = trajectories.settled
+    speed = metrics.moving_mean(trajectories.speed, settled, WINDOW)
+    flight = metrics.moving_mean((~trajectories.contact.any(dim=2)).float(), settled, WINDOW)
+    standing, upright = trajectories.standing, trajectories.fallen.cumsum(dim=0) == 0
     shown = int(standing.sum(dim=0).argmax())  # the first of those that stay up longest
     rows = []
     for step in range(len(speed)):
@@ -173,13 +175,13 @@ def transition_rows(
             reasons.append("no standing environment has a full window of one second around this step")
         if not standing[step, shown]:
             reasons.append("the environment of the gait diagram has fallen or left the terrain")
-        feet = recording.contact[step, shown].int().tolist() if standing[step, shown] else (None, None)
+        feet = trajectories.contact[step, shown].int().tolist() if standing[step, shown] else (None, None)
         rows.append(
             {
                 "method": source.method,
                 "seed": source.seed,
                 "time_s": (step + 1) * CONTROL_DT,
-                "frequency_hz": float(recording.frequency[step, shown]),
+                "frequency_hz": float(trajectories.frequency[step, shown]),
                 "speed_mps": mean_speed,
                 "speed_std_mps": _std(speed[step]),
                 "froude": float(metrics.froude_number(torch.tensor(mean_speed))),
@@ -192,25 +194,25 @@ def transition_rows(
             }
         )
     summary = {
-        **gait_changes(recording, speed, flight),
-        "gait_diagrams": {name: _diagram(recording, shown, *times) for name, times in DIAGRAMS.items()},
-        "poses": _poses(recording, shown),
+        **gait_changes(trajectories, speed, flight),
+        "gait_diagrams": {name: _diagram(trajectories, shown, *times) for name, times in DIAGRAMS.items()},
+        "poses": _poses(trajectories, shown),
     }
     return rows, summary
 
 
-def gait_changes(recording: Recording, speed: torch.Tensor, flight: torch.Tensor) -> dict[str, Any]:
+def gait_changes(trajectories: Trajectories, speed: torch.Tensor, flight: torch.Tensor) -> dict[str, Any]:
     """Where the Froude number passes 0.5, where flight begins and where it becomes steady.
 
     Each environment that got through is read off by itself; the summary is their mean and standard deviation. Flight
     begins at the first window with flight, and is steady from the last window without.
 
     Args:
-        recording: The transition test.
+        trajectories: The transition test.
         speed: Speed in a window around each step [m/s], shape [time, num_envs].
         flight: Flight phase ratio in such windows, shape [time, num_envs].
     """
-    whole = ~recording.ended.any(dim=0)
+    whole = ~trajectories.ended.any(dim=0)
     found: dict[str, list[float]] = {
         name: []
         for name in ("transition_speed_mps", "transition_frequency_hz", "flight_begins_hz", "flight_is_steady_hz")
@@ -219,7 +221,7 @@ def gait_changes(recording: Recording, speed: torch.Tensor, flight: torch.Tensor
         steps = torch.isfinite(speed[:, env])
         if not steps.any():
             continue
-        f, v = recording.frequency[steps, env], speed[steps, env]
+        f, v = trajectories.frequency[steps, env], speed[steps, env]
         flying = flight[steps, env] > FLIGHT_THRESHOLD
         fast = metrics.froude_number(v) >= TRANSITION_FROUDE
         if fast.any() and not fast[0]:
@@ -239,7 +241,7 @@ def gait_changes(recording: Recording, speed: torch.Tensor, flight: torch.Tensor
     }
     count = int(whole.sum())
     result: dict[str, Any] = {
-        "environments_that_never_fell": int((~recording.fallen.any(dim=0)).sum()),
+        "environments_that_never_fell": int((~trajectories.fallen.any(dim=0)).sum()),
         "environments_that_got_through": count,
         "environments": len(whole),
     }
@@ -250,11 +252,12 @@ def gait_changes(recording: Recording, speed: torch.Tensor, flight: torch.Tensor
     return result
 
 
-def _diagram(recording: Recording, env: int, start: float, end: float) -> dict[str, Any]:
+def _diagram(trajectories: Trajectories, env: int, start: float, end: float) -> dict[str, Any]:
     """Strides of one environment in a stretch of time."""
     chosen = slice(round(start * CONTROL_RATE), round(end * CONTROL_RATE))
     contact, valid, joint_position = (
-        each[chosen, env : env + 1] for each in (recording.contact, recording.standing, recording.joint_position)
+        each[chosen, env : env + 1]
+        for each in (trajectories.contact, trajectories.standing, trajectories.joint_position)
     )
     period = metrics.stride_period(joint_position, valid)
     measures = {
@@ -266,23 +269,23 @@ def _diagram(recording: Recording, env: int, start: float, end: float) -> dict[s
     return {"from_s": start, "to_s": end, **measures, "reason": "no whole stride of both feet" if incomplete else ""}
 
 
-def _poses(recording: Recording, env: int) -> list[dict[str, Any]]:
+def _poses(trajectories: Trajectories, env: int) -> list[dict[str, Any]]:
     """Poses of one environment at even times, for the schematic of Fig. 4 (c); none after its first episode."""
-    steps = np.linspace(WINDOW, len(recording.fallen) - 1, POSES).round().astype(int)
+    steps = np.linspace(WINDOW, len(trajectories.fallen) - 1, POSES).round().astype(int)
     return [
         {
             "time_s": (int(step) + 1) * CONTROL_DT,
-            "frequency_hz": float(recording.frequency[step, env]),
-            "height_m": float(recording.root_position[step, env, 2] - recording.ground_height[step, env]),
-            "root_rotation": recording.root_rotation[step, env].tolist(),
-            "joint_position": recording.joint_position[step, env].tolist(),
+            "frequency_hz": float(trajectories.frequency[step, env]),
+            "height_m": float(trajectories.root_position[step, env, 2] - trajectories.ground_height[step, env]),
+            "root_rotation": trajectories.root_rotation[step, env].tolist(),
+            "joint_position": trajectories.joint_position[step, env].tolist(),
         }
         for step in steps
-        if recording.standing[step, env]
+        if trajectories.standing[step, env]
     ]
 
 
-def commands(sweep: list[Row], source: Source, count: int) -> tuple[np.ndarray, np.ndarray]:
+def speeds_to_command(sweep: list[Row], source: Source, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Speeds to command, and the frequencies that the sweep's own curve gives for them.
 
     The curve is made of the frequencies at which at least half of the environments never fell, and straight between
@@ -308,13 +311,13 @@ def commands(sweep: list[Row], source: Source, count: int) -> tuple[np.ndarray, 
     return wanted, np.interp(wanted, speed[rising], frequency[rising])
 
 
-def command_rows(
-    recording: Recording, frequencies: torch.Tensor, speeds: np.ndarray, source: Source
+def speed_rows(
+    trajectories: Trajectories, frequencies: torch.Tensor, speeds: np.ndarray, source: Source
 ) -> tuple[list[Row], dict[str, Any]]:
     """A row per commanded speed, and the error over all of them."""
     rows = []
     for frequency, wanted, group in zip(
-        frequencies.tolist(), speeds.tolist(), groups(recording, len(speeds)), strict=True
+        frequencies.tolist(), speeds.tolist(), groups(trajectories, len(speeds)), strict=True
     ):
         speed = _mean(steady_measures(group)["speed_mps"])
         fell = math.isnan(speed)
@@ -340,9 +343,9 @@ def command_rows(
     return rows, summary
 
 
-def no_commands(source: Source) -> tuple[list[Row], dict[str, Any]]:
+def no_speeds(source: Source) -> tuple[list[Row], dict[str, Any]]:
     """What is left to say where the sweep gave no speed."""
     reason = "no speed to command: at every frequency of the sweep most environments fell"
-    blank = dict.fromkeys(COMMAND.columns)
+    blank = dict.fromkeys(SPEED.columns)
     summary = {"mean_absolute_error_mps": None, "largest_absolute_error_mps": None, "reason": reason}
     return [{**blank, "method": source.method, "seed": source.seed, "reason": reason}], summary

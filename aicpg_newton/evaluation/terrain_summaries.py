@@ -11,14 +11,14 @@ import torch
 from aicpg_newton.evaluation.protocols import GAITS
 from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.summaries import Source, groups, steady_row
-from aicpg_newton.evaluation.trajectories import Recording
+from aicpg_newton.evaluation.trajectories import Trajectories
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
 
 SAMPLE = round(0.5 * CONTROL_RATE)
 """Steps from one row of a trajectory to the next: half a second."""
 
 SHOWN = 4
-"""Environments of each condition whose trajectories are kept."""
+"""Environments of each group whose trajectories are kept."""
 
 _MEASURES = (
     *("speed_mps", "symmetry_index", "balance_index", "cost_of_transport", "flight_ratio", "falls_per_minute"),
@@ -31,7 +31,9 @@ def _gait(source: Source, frequency: float) -> str:
     return source.gait or min(GAITS, key=lambda gait: abs(GAITS[gait] - frequency))
 
 
-def terrain_rows(recording: Recording, frequencies: torch.Tensor, source: Source) -> tuple[list[Row], dict[str, Any]]:
+def terrain_rows(
+    trajectories: Trajectories, frequencies: torch.Tensor, source: Source
+) -> tuple[list[Row], dict[str, Any]]:
     """A row per gait on one terrain; :func:`over_terrains` makes the summary."""
     return [
         {
@@ -39,7 +41,7 @@ def terrain_rows(recording: Recording, frequencies: torch.Tensor, source: Source
             "gait": _gait(source, frequency),
             "terrain_seed": source.terrain_seed,
         }
-        for frequency, group in zip(frequencies.tolist(), groups(recording, len(frequencies)), strict=True)
+        for frequency, group in zip(frequencies.tolist(), groups(trajectories, len(frequencies)), strict=True)
     ], {}
 
 
@@ -64,13 +66,15 @@ def over_terrains(rows: list[Row]) -> dict[str, Any]:
     return {"over_terrains": summary}
 
 
-def training_rows(recording: Recording, frequencies: torch.Tensor, source: Source) -> tuple[list[Row], dict[str, Any]]:
+def training_rows(
+    trajectories: Trajectories, frequencies: torch.Tensor, source: Source
+) -> tuple[list[Row], dict[str, Any]]:
     """Ways of a few environments in their first episode, two rows a second and one where it ends.
 
     The place is relative to that after the first step, the velocity the mean since the row before.
     """
     rows, results = [], []
-    for frequency, group in zip(frequencies.tolist(), groups(recording, len(frequencies)), strict=True):
+    for frequency, group in zip(frequencies.tolist(), groups(trajectories, len(frequencies)), strict=True):
         gait = {"gait": _gait(source, frequency), "iteration": source.iteration}
         for env in range(min(SHOWN, group.fallen.shape[1])):
             for point in _way(group, env):
@@ -91,18 +95,18 @@ def training_rows(recording: Recording, frequencies: torch.Tensor, source: Sourc
     return rows, {"gaits": results}
 
 
-def _way(recording: Recording, env: int) -> list[Row]:
+def _way(trajectories: Trajectories, env: int) -> list[Row]:
     """Rows of one environment's way."""
-    position = (recording.root_position[:, env, :2] - recording.root_position[0, env, :2]).double()
+    position = (trajectories.root_position[:, env, :2] - trajectories.root_position[0, env, :2]).double()
     steps = len(position)
-    last = min(int(recording.standing[:, env].sum()), steps - 1)
+    last = min(int(trajectories.standing[:, env].sum()), steps - 1)
     points, before = [], 0
     for step in [*range(SAMPLE - 1, last, SAMPLE), last]:
         x, y = position[step].tolist()
         vx, vy = ((position[step] - position[before]) / ((step - before) * CONTROL_DT)).tolist()
         reason = ""
-        if recording.ended[step, env]:
-            reason = "fell" if recording.fallen[step, env] else "came to the edge of the terrain"
+        if trajectories.ended[step, env]:
+            reason = "fell" if trajectories.fallen[step, env] else "came to the edge of the terrain"
         if step == 0:
             reason += " in the first step: no velocity yet"
         points.append(

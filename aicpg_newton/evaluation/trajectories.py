@@ -28,15 +28,15 @@ _SOLE_CHUNK = 16  # the same where each foot has a grid of points
 
 
 @dataclass
-class Recording:
+class Trajectories:
     """Trajectories of a protocol, each tensor of shape [time, num_envs, ...]; states before any reset.
 
     A fall and leaving the course (facing more than the task's angle away from the target) both end an episode and both
     count as falls, as in play.py's table. Coming to the edge of the terrain ends an episode without a fall.
     """
 
-    condition: torch.Tensor
-    """Index of each environment's condition, shape [num_envs]."""
+    group: torch.Tensor
+    """Index of the group each environment is in, shape [num_envs]."""
     terrain: Terrain | None
     """The ground; None for the plane at height 0."""
     frequency: torch.Tensor
@@ -72,12 +72,10 @@ class Recording:
         """Steps that measures of steady locomotion count: of the first episode, after its first second."""
         return self.standing & (self.age >= WARM_UP)
 
-    def among(self, environments: torch.Tensor) -> Recording:
-        """The recording of some environments, given as a bool tensor of shape [num_envs]."""
-        rows = {
-            name: value[:, environments] for name, value in vars(self).items() if name not in ("condition", "terrain")
-        }
-        return Recording(condition=self.condition[environments], terrain=self.terrain, **rows)
+    def among(self, environments: torch.Tensor) -> Trajectories:
+        """The trajectories of some environments, given as a bool tensor of shape [num_envs]."""
+        rows = {name: value[:, environments] for name, value in vars(self).items() if name not in ("group", "terrain")}
+        return Trajectories(group=self.group[environments], terrain=self.terrain, **rows)
 
 
 def record(
@@ -86,26 +84,26 @@ def record(
     environment: Environment,
     agent: Agent,
     progress: Callable[[int], None] = lambda step: None,
-) -> Recording:
+) -> Trajectories:
     """Run a protocol: the one loop for all of them.
 
     Args:
         protocol: What is done; its pushes are already part of the environment's task.
-        frequencies: Stride frequency at the start of each condition [Hz], shape [conditions].
+        frequencies: Stride frequency at the start of each group [Hz], shape [groups].
         environment: Environments whose episodes do not time out before the protocol is over.
         agent: What controls them.
         progress: Called with the number of steps done.
     """
     steps, n, device = protocol.steps, environment.num_envs, environment.device
-    condition = share_out(n, len(frequencies)).to(device)
-    start = frequencies.to(device)[condition]
+    group = share_out(n, len(frequencies)).to(device)
+    start = frequencies.to(device)[group]
     environment.restart(start)
 
     def empty(*shape: int, dtype: torch.dtype = torch.float) -> torch.Tensor:
         return torch.zeros(steps, n, *shape, dtype=dtype, device=device)
 
-    kept = Recording(
-        condition=condition,
+    kept = Trajectories(
+        group=group,
         terrain=environment.engine.terrain,
         frequency=empty(),
         root_position=empty(3),
@@ -120,9 +118,14 @@ def record(
         speed=empty(),
     )
     age = torch.zeros(n, dtype=torch.long, device=device)
+
+    def ramp(step: int) -> torch.Tensor:
+        return start + protocol.ramp * CONTROL_DT * step
+
+    environment.command(frequency=ramp(1))  # a command is obeyed when the step after it is over
     for step, frame in enumerate(physical_frames(environment, agent, steps, Tally(start))):
         outcome = environment.outcome
-        kept.frequency[step] = environment.frequency
+        kept.frequency[step] = frame.frequency
         kept.root_position[step] = frame.root_position
         kept.root_rotation[step] = frame.root_rotation
         kept.joint_position[step] = frame.joint_position
@@ -133,31 +136,31 @@ def record(
         kept.ended[step] = kept.fallen[step] | outcome.timed_out
         kept.age[step] = age
         age = torch.where(kept.ended[step], 0, age + 1)
-        environment.frequency = start + protocol.ramp * CONTROL_DT * (step + 1)
+        environment.command(frequency=ramp(step + 2))
         progress(step + 1)
     kept.speed = forward_speed(kept)
     return kept
 
 
-def forward_speed(recording: Recording) -> torch.Tensor:
+def forward_speed(trajectories: Trajectories) -> torch.Tensor:
     """Velocity of the centre of mass along x [m/s] from its way in each step, shape [time, num_envs]; NaN at starts."""
-    x = torch.cat([centre_of_mass(*chunk)[..., 0] for chunk in _poses(recording, _CHUNK)])
+    x = torch.cat([centre_of_mass(*chunk)[..., 0] for chunk in _poses(trajectories, _CHUNK)])
     speed = torch.full_like(x, math.nan)
     speed[1:] = (x[1:] - x[:-1]) / CONTROL_DT
-    return torch.where(recording.age > 0, speed, math.nan)
+    return torch.where(trajectories.age > 0, speed, math.nan)
 
 
-def sole_clearance(recording: Recording) -> torch.Tensor:
+def sole_clearance(trajectories: Trajectories) -> torch.Tensor:
     """Height of each sole's lowest point above the ground [m], [time, num_envs, 2]; NaN where a foot has no contact."""
     parts = []
-    for contact, pose in zip(recording.contact.split(_SOLE_CHUNK), _poses(recording, _SOLE_CHUNK), strict=True):
+    for contact, pose in zip(trajectories.contact.split(_SOLE_CHUNK), _poses(trajectories, _SOLE_CHUNK), strict=True):
         clearance = torch.full(contact.shape, math.nan, device=contact.device)
-        clearance[contact] = metrics.sole_clearance(sole_corners(*pose)[contact], recording.terrain)
+        clearance[contact] = metrics.sole_clearance(sole_corners(*pose)[contact], trajectories.terrain)
         parts.append(clearance)
     return torch.cat(parts)
 
 
-def _poses(recording: Recording, steps: int) -> Iterator[tuple[torch.Tensor, ...]]:
+def _poses(trajectories: Trajectories, steps: int) -> Iterator[tuple[torch.Tensor, ...]]:
     """Pelvis position and rotation and joint angles, so many steps at a time."""
-    poses = (recording.root_position, recording.root_rotation, recording.joint_position)
+    poses = (trajectories.root_position, trajectories.root_rotation, trajectories.joint_position)
     return zip(*(each.split(steps) for each in poses), strict=True)

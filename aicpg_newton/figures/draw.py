@@ -1,4 +1,4 @@
-"""The paper's figures from result folders, without simulating: Fig. 3 a-d, 4 a-e, 5 a-b, 6, and the command test.
+"""The paper's figures from result folders, without simulating: Fig. 3 a-d, 4 a-e, 5 a-b, 6, and the speed test.
 
 What people do is drawn in grey, from these sources:
 
@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import results
-from aicpg_newton.evaluation.protocols import COMMAND, DISTURBANCE, PROTOCOLS, SWEEP, TERRAIN, TRAINING, TRANSITION
+from aicpg_newton.evaluation.protocols import DISTURBANCE, PROTOCOLS, SPEED, SWEEP, TERRAIN, TRAINING, TRANSITION
 from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.summaries import FLIGHT_THRESHOLD
 from aicpg_newton.figures.plotting import (
@@ -36,6 +36,7 @@ from aicpg_newton.figures.plotting import (
 )
 from aicpg_newton.figures.terrain import trajectories_figure, walking_and_running_figure
 from aicpg_newton.figures.transition import speed_and_froude_figure, transition_figure
+from aicpg_newton.files import WholeFile
 from aicpg_newton.robot.humanoid import GRAVITY
 
 _TRANSITION_SPEED = 2.0  # of people [m/s]
@@ -93,13 +94,14 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
     if tables[TRANSITION.name]:
         figure = speed_and_froude_figure(tables[TRANSITION.name], uneven=grounds[0] is not None)
         paths.append(_save(figure, out / "figure_6.png"))
-    if tables[COMMAND.name]:
-        paths.append(_save(_commands(tables[COMMAND.name]), out / "command.png"))
+    if tables[SPEED.name]:
+        paths.append(_save(_commands(tables[SPEED.name]), out / "speed.png"))
     return paths
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    figure.savefig(path, dpi=100)
+    with WholeFile(path) as temporary:
+        figure.savefig(temporary, dpi=100, format="png")
     return path
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 from typing import Any
@@ -10,12 +9,15 @@ from typing import Any
 import torch
 
 from aicpg_newton.errors import UserError
+from aicpg_newton.files import WholeFile
 from aicpg_newton.robot import humanoid
 
 FORMAT = 1
 """Raised when the content changes its meaning."""
 
 _KEYS = {"format", "humanoid", "task", "pattern", "run", "iteration", "samples", "algorithm"}
+_LATER = {"observations"}
+"""Keys that checkpoints of the first version do not have."""
 _NAME = re.compile(r"model_(\d+)\.pt")
 
 
@@ -24,17 +26,19 @@ def write(
     *,
     task: dict[str, Any],
     pattern: dict[str, Any],
+    observations: list[list],
     run: dict[str, Any],
     iteration: int,
     samples: int,
     algorithm: dict[str, Any],
 ) -> None:
-    """Write a checkpoint; the file appears whole or not at all.
+    """Write a checkpoint; the file appears whole or not at all, or as :func:`save` says.
 
     Args:
         path: File to write.
-        task: ``dataclasses.asdict`` of the task.
+        task: The task's settings, from :func:`aicpg_newton.env.stored.to_dict`.
         pattern: :meth:`PatternNetwork.content`.
+        observations: Layout of what the networks see, from :func:`aicpg_newton.env.observations.layout`.
         run: How it was trained: number of environments, engine, device, seed, git revision.
         iteration: Iterations done.
         samples: Control steps seen over all environments.
@@ -45,6 +49,7 @@ def write(
         "humanoid": humanoid.version(),
         "task": task,
         "pattern": pattern,
+        "observations": observations,
         "run": run,
         "iteration": iteration,
         "samples": samples,
@@ -71,7 +76,7 @@ def read(path: Path) -> dict[str, Any]:
         raise UserError(
             f"{path} cannot be read as a checkpoint and may be cut short; delete it to go on from the one before"
         ) from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT or set(content) != _KEYS:
+    if not isinstance(content, dict) or content.get("format") != FORMAT or set(content) - _LATER != _KEYS:
         raise UserError(f"{path} is not a checkpoint of this version of aicpg_newton; use the version that wrote it")
     if content["humanoid"] != humanoid.version():
         raise UserError(
@@ -93,10 +98,13 @@ def without_optimiser(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def save(content: dict[str, Any], path: Path) -> None:
-    """Write a checkpoint's content; the file appears whole or not at all."""
-    temporary = path.with_suffix(".partial")
-    torch.save(content, temporary)
-    os.replace(temporary, path)
+    """Write a checkpoint's content; the file appears whole or not at all.
+
+    Raises:
+        UserError: The disk does not take it.
+    """
+    with WholeFile(path) as temporary, temporary.open("wb") as file:  # on its own torch hides why it cannot write
+        torch.save(content, file)
 
 
 def shipped(task: str) -> Path:

@@ -17,15 +17,7 @@ from tensordict import TensorDict
 from torch import nn
 from torch.distributions import Normal
 
-from aicpg_newton.env import observations
-from aicpg_newton.robot.humanoid import MIRROR_PERMUTATION, MIRROR_SIGN
-
-Mirror = tuple[tuple[int, ...], tuple[float, ...]]
-"""``mirrored[i] = sign[i] * original[permutation[i]]``: permutation and sign."""
-
-JOINTS: Mirror = (MIRROR_PERMUTATION, MIRROR_SIGN)
-UNCHANGED: Mirror = ((0,), (1.0,))
-"""Of a single number that a mirror does not change, as the value of a state."""
+from aicpg_newton.robot.mirror import EVEN, JOINTS, Mirror
 
 
 def halves(mirror: Mirror) -> tuple[torch.Tensor, torch.Tensor]:
@@ -163,7 +155,7 @@ class SymmetricGaussian(GaussianDistribution):
 
     def __init__(self, output_dim: int, **others: Any) -> None:
         super().__init__(output_dim, **others)
-        self.register_buffer("permutation", torch.tensor(MIRROR_PERMUTATION), persistent=False)
+        self.register_buffer("permutation", torch.tensor(JOINTS.permutation), persistent=False)
 
     def update(self, mlp_output: torch.Tensor) -> None:
         """See :meth:`GaussianDistribution.update`."""
@@ -181,6 +173,7 @@ class EquivariantModel(MLPModel):
         output_dim: 28 actions, or one value.
         hidden_dims: Widths of the hidden layers.
         activation: Activation function.
+        mirror: Mirror of the observations.
         **others: As :class:`rsl_rl.models.MLPModel`.
     """
 
@@ -192,10 +185,10 @@ class EquivariantModel(MLPModel):
         output_dim: int,
         hidden_dims: list[int],
         activation: str,
+        *,
+        mirror: Mirror,
         **others: Any,
     ) -> None:
         super().__init__(obs, obs_groups, obs_set, output_dim, hidden_dims, activation, **others)
-        inputs = observations.mirror_map(self.obs_dim)
-        outputs = JOINTS if output_dim > 1 else UNCHANGED
-        self.mlp = EquivariantMLP(inputs, outputs, hidden_dims, activation)
-        self.obs_normalizer = SymmetricNormalization(inputs)
+        self.mlp = EquivariantMLP(mirror, JOINTS if output_dim > 1 else EVEN, hidden_dims, activation)
+        self.obs_normalizer = SymmetricNormalization(mirror)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,8 @@ from tensordict import TensorDict
 
 from aicpg_newton.device import torch_threads
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.observations import differences, layout, mirror_of
+from aicpg_newton.env.stored import to_dict
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.settings import runner_settings
@@ -46,7 +47,7 @@ class Runner(OnPolicyRunner):
     ) -> None:
         self.run = run
         self._deadline = time.monotonic() + seconds
-        settings = runner_settings(environment.task, run["seed"])
+        settings = runner_settings(environment.task, mirror_of(environment.blocks), run["seed"])
         log_dir = None if folder is None else str(folder)
         super().__init__(environment, settings, log_dir=log_dir, device=str(device or environment.device))
         # rsl_rl keeps the revision and the uncommitted changes of this project with the run.
@@ -74,7 +75,8 @@ class Runner(OnPolicyRunner):
         """
         checkpoint.write(
             Path(path),
-            task=asdict(self.env.task),
+            task=to_dict(self.env.task),
+            observations=layout(self.env.blocks),
             pattern=self.env.pattern.content(),
             run=self.run,
             iteration=self.current_learning_iteration + 1,
@@ -110,6 +112,12 @@ class Runner(OnPolicyRunner):
         self._load(content, dict.fromkeys(names, True))
 
     def _load(self, content: dict[str, Any], parts: dict[str, bool] | None) -> None:
+        different = differences(content.get("observations", []), layout(self.env.blocks))
+        if "observations" in content and different:
+            raise UserError(
+                f"the checkpoint's networks see other observations: {different}; use the code that trained it, or train"
+                " again"
+            )
         try:
             self.alg.load(content["algorithm"], load_cfg=parts, strict=True)
         except (RuntimeError, ValueError, KeyError) as error:

@@ -7,59 +7,71 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
-from aicpg_newton.env import observations
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.methods import get_method
 from aicpg_newton.env.task import Task
-from aicpg_newton.robot.humanoid import mirror_joints
+from aicpg_newton.robot.mirror import JOINTS, Mirror
 
 _EQUIVARIANT = "aicpg_newton.learning.equivariant"
 
 
-def with_mirror_images(
-    env: Environment | None, obs: TensorDict | None, actions: torch.Tensor | None
-) -> tuple[TensorDict | None, torch.Tensor | None]:
-    """Append the left-right mirror image of every sample, as rsl_rl's symmetry extension asks.
+class WithMirrorImages:
+    """Appends the left-right mirror image of every sample, as rsl_rl's symmetry extension asks.
 
     Args:
-        env: Not needed.
-        obs: Observations under the key ``policy``, shape [batch, 192] (136 without a CPG).
-        actions: Actions, shape [batch, 28].
-
-    Returns:
-        Both with shape [2 batch, ...]: originals first, mirror images after.
+        mirror: Mirror of the observations.
     """
-    if obs is not None:
-        seen = obs["policy"]
-        doubled = torch.cat((seen, observations.mirror(seen)))
-        obs = TensorDict({"policy": doubled}, batch_size=[doubled.shape[0]], device=doubled.device)
-    if actions is not None:
-        actions = torch.cat((actions, mirror_joints(actions)))
-    return obs, actions
+
+    def __init__(self, mirror: Mirror) -> None:
+        self.mirror = mirror
+
+    def __call__(
+        self, env: Environment | None, obs: TensorDict | None, actions: torch.Tensor | None
+    ) -> tuple[TensorDict | None, torch.Tensor | None]:
+        """Samples and their mirror images.
+
+        Args:
+            env: Not needed.
+            obs: Observations under the key ``policy``, shape [batch, 192] (136 without a CPG).
+            actions: Actions, shape [batch, 28].
+
+        Returns:
+            Both with shape [2 batch, ...]: originals first, mirror images after.
+        """
+        if obs is not None:
+            seen = obs["policy"]
+            doubled = torch.cat((seen, self.mirror(seen)))
+            obs = TensorDict({"policy": doubled}, batch_size=[doubled.shape[0]], device=doubled.device)
+        if actions is not None:
+            actions = torch.cat((actions, JOINTS(actions)))
+        return obs, actions
 
 
-def runner_settings(task: Task, seed: int) -> dict[str, Any]:
+def runner_settings(task: Task, mirror: Mirror, seed: int) -> dict[str, Any]:
     """The configuration of rsl_rl's ``OnPolicyRunner``.
 
     Args:
         task: Task, with the method's name and the learning settings.
+        mirror: Mirror of the observations.
         seed: Recorded with the run.
     """
     learning, method = task.learning, get_method(task.method)
     equivariant = learning.network == "equivariant"
-    network = {
+    network: dict[str, Any] = {
         "class_name": f"{_EQUIVARIANT}:EquivariantModel" if equivariant else "MLPModel",
         "hidden_dims": list(learning.hidden_sizes),
         "activation": learning.activation,
         "obs_normalization": True,
     }
+    if equivariant:
+        network["mirror"] = mirror
     noise = {
         "class_name": f"{_EQUIVARIANT}:SymmetricGaussian" if equivariant else "GaussianDistribution",
         "init_std": learning.initial_std,
         "std_type": "log",
         "learn_std": learning.learn_std,
     }
-    symmetry = {"data_augmentation_func": with_mirror_images, "use_data_augmentation": True}
+    symmetry = {"data_augmentation_func": WithMirrorImages(mirror), "use_data_augmentation": True}
     return {
         "seed": seed,
         "num_steps_per_env": learning.steps_per_iteration,

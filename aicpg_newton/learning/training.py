@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,14 @@ from aicpg_newton.device import resolve_device, resolve_learner_device
 from aicpg_newton.engines import engine_name
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.methods import run_name
-from aicpg_newton.env.task import Task, plain, task_from_dict
+from aicpg_newton.env.stored import plain, to_dict
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.runner import Runner, TimeIsUp
 from aicpg_newton.robot import humanoid
+from tasks import task_from_dict
 
 CONFIG_NAME = "config.yaml"
 
@@ -163,10 +165,8 @@ def with_networks_of(task: Task, start_from: Path) -> Task:
         UserError: The checkpoint cannot be read, or is of another version.
     """
     own = task_of(start_from)
-    names = ("network", "hidden_sizes", "critic_hidden_sizes", "activation")
-    kept = {name: getattr(own.learning, name) for name in names}
-    rewards = replace(task.rewards, scale=own.rewards.scale)
-    return replace(task, learning=replace(task.learning, **kept), rewards=rewards)
+    names = ("network", "hidden_sizes", "critic_hidden_sizes", "activation", "reward_scale")
+    return replace(task, learning=replace(task.learning, **{name: getattr(own.learning, name) for name in names}))
 
 
 def task_of(resume: Path) -> Task:
@@ -211,5 +211,5 @@ def _title(device: torch.device) -> str:
 
 def _write_config(path: Path, task: Task, run: dict[str, Any]) -> None:
     """Every setting as it was used."""
-    content = {"run": run, "humanoid": humanoid.version(), "task": plain(asdict(task))}
+    content = {"run": run, "humanoid": humanoid.version(), "task": plain(to_dict(task))}
     path.write_text(yaml.safe_dump(content, sort_keys=False))

@@ -11,6 +11,7 @@ from pathlib import Path
 import tyro
 
 from aicpg_newton.errors import UserError, run_command
+from aicpg_newton.files import WholeFile
 from aicpg_newton.motion.acclaim import read_motion, read_skeleton
 from aicpg_newton.motion.cycles import gait_cycle
 from aicpg_newton.motion.figure import save_figure
@@ -55,10 +56,9 @@ def fit(settings: Fit) -> None:
     network = fit_pattern_network(cycles)
     for gait in network.gaits:
         print(f"{gait.name} fit error: {gait.fit_error:.4f} rad RMS, worst joint {gait.worst_fit_error:.4f} rad")
-    partial = settings.out.with_name(settings.out.name + ".partial")
-    network.save(partial)
-    save_figure(picture, network, cycles)
-    os.replace(partial, settings.out)
+    with WholeFile(settings.out) as network_file, WholeFile(picture) as picture_file:
+        network.save(network_file)
+        save_figure(picture_file, network, cycles)
     print(f"wrote {settings.out} and {picture}")
 
 

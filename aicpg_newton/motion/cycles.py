@@ -16,8 +16,9 @@ from aicpg_newton.gait.cpg import Gait, fourier_basis
 from aicpg_newton.motion.acclaim import FRAME_RATE
 from aicpg_newton.motion.retarget import RetargetedMotion, frame_times
 from aicpg_newton.robot import rotations
-from aicpg_newton.robot.humanoid import joint_index, mirror_joints
+from aicpg_newton.robot.humanoid import joint_index
 from aicpg_newton.robot.kinematics import sole_heights
+from aicpg_newton.robot.mirror import JOINTS
 
 PHASES = 256
 """Samples of a cycle over one stride."""
@@ -201,7 +202,7 @@ def gait_cycle(motion: RetargetedMotion, name: str) -> GaitCycle:
 
     angles = _average_stride(remove_glitches(straight.angles), frequency)
     root = _average_stride(torch.cat((position, remove_glitches(attitude)), dim=-1), frequency)
-    angles = _symmetric(angles, mirror_joints(angles))
+    angles = _symmetric(angles, JOINTS(angles))
     root = _symmetric(root, root * root.new_tensor(_ROOT_MIRROR))
 
     phase = torch.arange(PHASES, dtype=angles.dtype) * (2 * math.pi / PHASES)

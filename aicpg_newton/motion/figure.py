@@ -45,7 +45,7 @@ def save_figure(path: Path, network: PatternNetwork, cycles: Sequence[GaitCycle]
         _draw_seconds(figure.add_subplot(grid[2, i]), joint, network)
     for i, cycle in enumerate(cycles):
         _draw_stick_figures(figure.add_subplot(grid[3 + i, :]), cycle)
-    figure.savefig(path, dpi=90)
+    figure.savefig(path, dpi=90, format="png")
 
 
 def _colour(frequency: float) -> tuple[float, float, float]:

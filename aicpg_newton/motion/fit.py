@@ -12,7 +12,7 @@ from torch import nn
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import Gait, PatternNetwork, rhythm_window
 from aicpg_newton.motion.cycles import GaitCycle
-from aicpg_newton.robot.humanoid import mirror_joints
+from aicpg_newton.robot.mirror import JOINTS
 
 
 def fit_pattern_network(cycles: Sequence[GaitCycle], *, steps: int = 6000, seed: int = 0) -> PatternNetwork:
@@ -85,8 +85,8 @@ def _symmetrise(network: PatternNetwork) -> None:
         first.bias: swap(first.bias, 0),
         second.weight: swap(swap(second.weight, 0), 1),
         second.bias: swap(second.bias, 0),
-        last.weight: mirror_joints(swap(last.weight, 1).T).T,
-        last.bias: mirror_joints(last.bias),
+        last.weight: JOINTS(swap(last.weight, 1).T).T,
+        last.bias: JOINTS(last.bias),
     }
     for parameter, image in images.items():
         parameter.copy_(0.5 * (parameter + image))

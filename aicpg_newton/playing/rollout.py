@@ -12,12 +12,17 @@ from aicpg_newton.env.environment import Environment
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
 from aicpg_newton.gait.poses import gait_pose
 from aicpg_newton.learning.policy import Agent
-from aicpg_newton.robot.humanoid import CONTROL_DT
+from aicpg_newton.robot.humanoid import CONTROL_DT, NUM_JOINTS
 
 
-def share_out(num_envs: int, conditions: int) -> torch.Tensor:
-    """Condition of each environment, as evenly as possible, shape [num_envs]."""
-    return torch.arange(num_envs) * conditions // num_envs
+def no_action(observed: torch.Tensor) -> torch.Tensor:
+    """The agent that does nothing, so that the CPG is alone."""
+    return observed.new_zeros(len(observed), NUM_JOINTS)
+
+
+def share_out(num_envs: int, groups: int) -> torch.Tensor:
+    """Group of each environment, as evenly as possible, shape [num_envs]."""
+    return torch.arange(num_envs) * groups // num_envs
 
 
 @dataclass
@@ -68,6 +73,10 @@ class Tally:
         self.distance += torch.nan_to_num(forward_velocity) * CONTROL_DT
         self.falls += ended
 
+    def speed(self, env: int) -> float:
+        """Mean speed of a robot so far [m/s]."""
+        return float(self.distance[env]) / (max(self.steps, 1) * CONTROL_DT)
+
     def table(self) -> str:
         """Mean speed, falls and episode length, a line per frequency."""
         duration = max(self.steps, 1) * CONTROL_DT
@@ -103,7 +112,7 @@ def physical_frames(environment: Environment, agent: Agent, steps: int, tally: T
                 root_rotation=outcome.state.root_rotation,
                 joint_position=outcome.state.joint_position,
                 phase=outcome.phase,
-                frequency=environment.frequency,
+                frequency=outcome.commands.frequency,
                 episode=episode.clone(),
             )
             episode += dones

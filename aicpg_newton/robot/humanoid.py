@@ -1,4 +1,4 @@
-"""The robot: joint order, gains, torque limits, damping and the left-right mirror map.
+"""The robot: joint order, gains, torque limits and damping, control rate, and where head, hands and feet are.
 
 Everything else in the package speaks of joints in the order of :data:`JOINT_NAMES` and of links in the order of
 :data:`LINK_NAMES`; engines translate from their own layout by name. Geometry, masses and joint ranges stand in
@@ -8,7 +8,6 @@ Everything else in the package speaks of joints in the order of :data:`JOINT_NAM
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -104,6 +103,10 @@ JOINT_NAMES = (
 NUM_JOINTS = len(JOINT_NAMES)
 
 
+SPINE_JOINTS = tuple(f"{part}_{axis}" for part in ("abdomen", "neck") for axis in "xyz")
+"""Those of the trunk, from pelvis to head."""
+
+
 def joint_index(name: str) -> int:
     """Index of a joint in :data:`JOINT_NAMES`."""
     return JOINT_NAMES.index(name)
@@ -174,57 +177,3 @@ def version() -> str:
     """Fingerprint of the robot (geometry and motor table), stored in checkpoints: 12 hexadecimal digits."""
     facts = MJCF_PATH.read_bytes() + repr((JOINT_NAMES, JOINT_GROUPS)).encode()
     return hashlib.sha256(facts).hexdigest()[:12]
-
-
-def _mirrored(name: str) -> str:
-    if name.startswith("right_"):
-        return "left_" + name.removeprefix("right_")
-    return "right_" + name.removeprefix("left_") if name.startswith("left_") else name
-
-
-MIRROR_PERMUTATION = tuple(joint_index(_mirrored(name)) for name in JOINT_NAMES)
-"""``mirrored[i] = sign[i] * original[permutation[i]]``, reflecting y -> -y."""
-
-MIRROR_SIGN = tuple(-1.0 if name.endswith(("_x", "_z")) else 1.0 for name in JOINT_NAMES)
-"""A reflection in y turns rotations about x and z around and leaves those about y."""
-
-LINK_MIRROR_PERMUTATION = tuple(LINK_NAMES.index(_mirrored(name)) for name in LINK_NAMES)
-"""The same for links: position ``mirrored[i] = (x, -y, z)`` of ``original[permutation[i]]``."""
-
-
-MIRROR_VECTOR, MIRROR_AXIAL = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0)
-"""Signs of positions, velocities and forces, and of angular velocities and moments, reflecting y -> -y."""
-
-MIRROR_SIDES = (3, 4, 5, 0, 1, 2)
-"""Permutation of a vector of the right side and one of the left."""
-
-
-def mirror_blocks(
-    blocks: Sequence[tuple[str, int]], maps: Mapping[str, tuple[tuple[int, ...], tuple[float, ...]]]
-) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Permutation and sign of quantities put one behind the other, under a reflection y -> -y.
-
-    Args:
-        blocks: Name and size of each block, in order.
-        maps: Permutation and sign within the blocks that are not joint quantities.
-    """
-    permutation: list[int] = []
-    sign: list[float] = []
-    for name, _ in blocks:
-        block_permutation, block_sign = maps.get(name, (MIRROR_PERMUTATION, MIRROR_SIGN))
-        start = len(permutation)
-        permutation += [start + index for index in block_permutation]
-        sign += block_sign
-    return tuple(permutation), tuple(sign)
-
-
-def mirror_joints(values: torch.Tensor) -> torch.Tensor:
-    """Left-right mirror image of joint angles, velocities or torques.
-
-    Args:
-        values: Joint quantities, shape [..., 28].
-
-    Returns:
-        The mirrored quantities, shape [..., 28]; mirroring twice is the identity.
-    """
-    return values[..., list(MIRROR_PERMUTATION)] * values.new_tensor(MIRROR_SIGN)

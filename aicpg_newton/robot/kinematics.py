@@ -1,11 +1,16 @@
 """Forward kinematics of the humanoid in torch, without an engine: for resets, pictures and motion references."""
 
+# MuJoCo's extension module has no type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
+import mujoco
+import numpy as np
 import torch
 
 from aicpg_newton.errors import UserError
@@ -41,55 +46,48 @@ def skeleton() -> Skeleton:
     Raises:
         UserError: The file does not hold the 13 links and 28 joints that :mod:`aicpg_newton.robot.humanoid` names.
     """
-    root = ElementTree.parse(MJCF_PATH).getroot().find("worldbody/body")
-    assert root is not None
-    bodies: dict[str, tuple[ElementTree.Element, int]] = {}
-
-    def visit(body: ElementTree.Element, parent: int) -> None:
-        bodies[body.attrib["name"]] = (body, parent)
-        index = len(bodies) - 1
-        for child in body.findall("body"):
-            visit(child, index)
-
-    visit(root, -1)
-    hinges = {joint.attrib["name"]: joint for body, _ in bodies.values() for joint in body.findall("joint")}
-    if tuple(bodies) != LINK_NAMES or set(hinges) != set(JOINT_NAMES):
+    spec = mujoco.MjSpec.from_file(str(MJCF_PATH))
+    bodies = [body for body in spec.bodies if body.name != "world"]
+    links = tuple(body.name for body in bodies)
+    hinges = {joint.name: joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE}
+    if links != LINK_NAMES or set(hinges) != set(JOINT_NAMES):
         raise UserError(
             f"{MJCF_PATH.name} holds {len(bodies)} links and {len(hinges)} joints that do not match the"
             f" {len(LINK_NAMES)} links and {NUM_JOINTS} joints named in humanoid.py; make the two agree"
         )
 
-    def numbers(text: str) -> list[float]:
-        return [float(word) for word in text.split()]
+    def numbers(values: Sequence) -> torch.Tensor:
+        return torch.from_numpy(np.array(values)).float()
 
-    offsets = [numbers(body.attrib["pos"]) if parent >= 0 else [0.0, 0.0, 0.0] for body, parent in bodies.values()]
+    offsets = numbers([body.pos for body in bodies])
+    offsets[0] = 0.0
     corners = []
     for foot in FOOT_NAMES:
-        box = bodies[foot][0].find("geom")
-        assert box is not None and box.attrib["type"] == "box"
-        (x, y, z), (sx, sy, sz) = numbers(box.attrib["pos"]), numbers(box.attrib["size"])
+        (box,) = spec.body(foot).geoms
+        assert box.type == mujoco.mjtGeom.mjGEOM_BOX
+        (x, y, z), (sx, sy, sz) = box.pos, box.size
         corners.append([[x + i * sx, y + j * sy, z - sz] for i in (-1, 1) for j in (-1, 1)])
 
-    def middle(geom: ElementTree.Element) -> torch.Tensor:
+    def middle(geom: mujoco.MjsGeom) -> np.ndarray:
         """Spheres and boxes give their centre, capsules their two ends."""
-        ends = numbers(geom.attrib.get("fromto") or geom.attrib["pos"])
-        return torch.tensor(ends).reshape(-1, 3).mean(dim=0)
+        return geom.pos if np.isnan(geom.fromto[0]) else 0.5 * (geom.fromto[:3] + geom.fromto[3:])
 
-    geoms = [body.findall("geom") for body, _ in bodies.values()]
-    weights = [torch.tensor([float(geom.attrib["mass"]) for geom in each]) for each in geoms]
-    centres = [torch.stack([middle(geom) for geom in each]) for each in geoms]
+    masses = [[geom.mass for geom in body.geoms] for body in bodies]
+    centres = [
+        np.average([middle(geom) for geom in body.geoms], axis=0, weights=each)
+        for body, each in zip(bodies, masses, strict=True)
+    ]
     return Skeleton(
-        parents=tuple(parent for _, parent in bodies.values()),
-        offsets=torch.tensor(offsets),
+        parents=tuple(-1 if body.parent.name == "world" else links.index(body.parent.name) for body in bodies),
+        offsets=offsets,
         joints=tuple(
-            tuple(JOINT_NAMES.index(joint.attrib["name"]) for joint in body.findall("joint"))
-            for body, _ in bodies.values()
+            tuple(JOINT_NAMES.index(joint.name) for joint in body.joints if joint.name in hinges) for body in bodies
         ),
-        axes=torch.tensor([numbers(hinges[name].attrib["axis"]) for name in JOINT_NAMES]),
-        ranges=torch.deg2rad(torch.tensor([numbers(hinges[name].attrib["range"]) for name in JOINT_NAMES])),
-        sole_corners=torch.tensor(corners),
-        masses=torch.stack([each.sum() for each in weights]),
-        mass_centres=torch.stack([each @ where / each.sum() for each, where in zip(weights, centres, strict=True)]),
+        axes=numbers([hinges[name].axis for name in JOINT_NAMES]),
+        ranges=torch.deg2rad(numbers([hinges[name].range for name in JOINT_NAMES])),
+        sole_corners=numbers(corners),
+        masses=numbers([sum(each) for each in masses]),
+        mass_centres=numbers(centres),
     )
 
 

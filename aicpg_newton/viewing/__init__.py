@@ -7,6 +7,15 @@ that a simulation, a motion capture clip and a made-up movement are shown in the
 from aicpg_newton.viewing.filmstrip import FilmstripRow, save_filmstrip
 from aicpg_newton.viewing.live import LIVE_KINDS, VIEWER_KINDS, LiveViewer, Slider
 from aicpg_newton.viewing.stage import Stage
-from aicpg_newton.viewing.video import Recorder
+from aicpg_newton.viewing.video import VideoWriter
 
-__all__ = ["LIVE_KINDS", "VIEWER_KINDS", "FilmstripRow", "LiveViewer", "Recorder", "Slider", "Stage", "save_filmstrip"]
+__all__ = [
+    "LIVE_KINDS",
+    "VIEWER_KINDS",
+    "FilmstripRow",
+    "LiveViewer",
+    "Slider",
+    "Stage",
+    "VideoWriter",
+    "save_filmstrip",
+]

@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
+from aicpg_newton.files import WholeFile
 from aicpg_newton.viewing.camera import BACKGROUND, Photographer, checkerboard, facing, parallel_rays, relief
 from aicpg_newton.viewing.output import TEXT_COLOUR, writable_path
 from aicpg_newton.viewing.stage import Floor, Stage
@@ -94,7 +95,8 @@ def save_filmstrip(path: Path | str, rows: list[FilmstripRow], terrain: Terrain 
         middle = (index + 0.5) * TILE_HEIGHT
         draw.text((16, middle - 32), title, fill=TEXT_COLOUR, font=title_font)
         draw.text((16, middle + 4), text, fill=TEXT_COLOUR, font=text_font)
-    image.save(path)
+    with WholeFile(path) as temporary:
+        image.save(temporary, format="PNG")
 
 
 def _row(row: FilmstripRow, draw_tile: _DrawTile) -> np.ndarray:

@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
+from aicpg_newton.files import WholeFile
 from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import CONTROL_RATE
 from aicpg_newton.viewing.camera import Studio, facing
@@ -29,13 +30,13 @@ _VIEW_HEIGHT = 2.3
 """Height of the picture at the robot [m]."""
 
 
-class Recorder:
+class VideoWriter:
     """Writes an H.264 mp4 at 30 frames per second from poses at the control rate of 60 per second.
 
     The camera looks at the robot's right side, slightly from the front and above, and follows the pelvis; the ground is
     a checkerboard of 1 m cells, so that speed can be seen; right limbs are red, left limbs blue. With several robots
     the camera moves back until all are in the picture. The file appears under its name when it is complete: until
-    :meth:`close` it is called ``<name>.part``, and it is removed if the recording is left by an exception.
+    :meth:`close` it is called ``<name>.partial``, and it is removed if the recording is left by an exception.
 
     Args:
         path: File to write, ending in ``.mp4``.
@@ -62,7 +63,7 @@ class Recorder:
             raise UserError(f"a recording of {width}x{height} pixels is not possible; give even numbers of at least 64")
         if num_robots < 1:
             raise UserError(f"a recording of {num_robots} robots is not possible; give at least 1")
-        self._part = self._path.with_name(self._path.name + ".part")
+        self._file = WholeFile(self._path)
         self._stage = Stage(num_robots, terrain=terrain)
         rotation = facing(_AZIMUTH, _ELEVATION)
         self._backwards = rotations.rotate(rotation, torch.tensor([0.0, 0.0, 1.0]))  # the camera looks along its -z
@@ -71,7 +72,7 @@ class Recorder:
         self._font = ImageFont.load_default(size=max(11, round(height / 22)))
         self._steps = 0
         writer = imageio_ffmpeg.write_frames(
-            str(self._part),
+            str(self._file.temporary),
             (width, height),
             fps=FRAME_RATE,
             quality=7,
@@ -121,19 +122,19 @@ class Recorder:
         self._end()
         if self._steps == 0:
             raise UserError(f"nothing was added to {self._path}; no recording was written")
-        self._part.replace(self._path)
+        self._file.keep()
 
     def abort(self) -> None:
         """Give up the recording and remove what was written."""
         self._end()
-        self._part.unlink(missing_ok=True)
+        self._file.drop()
 
     def _end(self) -> None:
         if self._writer is not None:
             self._writer.close()
             self._writer = None
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> VideoWriter:
         return self
 
     def __exit__(

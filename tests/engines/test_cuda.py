@@ -38,7 +38,9 @@ def test_walking_on_a_gpu_is_walking_on_the_cpu(pattern: PatternNetwork, ground:
         everyone = torch.ones(16, dtype=torch.bool, device=device)
         engine.reset(everyone, BodyState(**{name: value.to(device) for name, value in initial.items()}))
         for action in actions:
-            target, rate = (value.to(device) for value in pattern.to("cpu").target(start.phase, start.frequency))
+            target, rate = (
+                value.to(device) for value in pattern.to("cpu").target(start.phase, start.commands.frequency)
+            )
             push = torch.tensor([100.0, 50.0, 0.0], device=device).repeat(16, 1)
             engine.step(target, rate, 10.0 * action.to(device), push=push)
         assert engine.overflows() == 0

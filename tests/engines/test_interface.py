@@ -233,7 +233,7 @@ def test_root_velocities_are_those_of_the_pelvis_frame_in_the_world(engine: Engi
 
 
 @on_every_ground
-@pytest.mark.parametrize("bad", ["target", "reflex_torque", "push"])
+@pytest.mark.parametrize("bad", ["target", "torque", "push"])
 def test_not_finite_stays_in_one_environment(engine: Engine, bad: str) -> None:
     """A NaN among one environment's inputs shows up there, leaves the others as they would be, and a reset cures it."""
     targets, zeros = random_targets(5), torch.zeros(NUM_ENVS, NUM_JOINTS)
@@ -241,10 +241,10 @@ def test_not_finite_stays_in_one_environment(engine: Engine, bad: str) -> None:
     for poisoned in (False, True):
         reset_all(engine, start())
         for step in range(6):
-            inputs = {"target": targets.clone(), "reflex_torque": zeros.clone(), "push": torch.zeros(NUM_ENVS, 3)}
+            inputs = {"target": targets.clone(), "torque": zeros.clone(), "push": torch.zeros(NUM_ENVS, 3)}
             if poisoned and step == 2:
                 inputs[bad][1, 0] = math.nan
-            engine.step(inputs["target"], zeros, inputs["reflex_torque"], push=inputs["push"])
+            engine.step(inputs["target"], zeros, inputs["torque"], push=inputs["push"])
         ends.append(engine.state)
     clean, poisoned_end = ends
     others = torch.tensor([True, False, True, True])

@@ -1,19 +1,20 @@
 """What actions do, for each way to control the humanoid."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 import torch
 
 from aicpg_newton.engines import make_engine
 from aicpg_newton.env.environment import Environment
-from aicpg_newton.env.methods import METHODS, get_method, with_method
+from aicpg_newton.env.methods import METHODS, get_method
+from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
-from aicpg_newton.robot import humanoid
+from aicpg_newton.robot import humanoid, mirror
 from aicpg_newton.robot.humanoid import JOINT_NAMES, NUM_JOINTS, joint_index
 from aicpg_newton.robot.kinematics import skeleton, sole_heights
-from tasks import get_task
+from tasks import TASKS, get_task
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ def make(puppet, pattern: PatternNetwork):
     """An environment of a method on an engine that obeys."""
 
     def environment(method: str, num_envs: int = 4, **settings) -> Environment:
-        task = replace(with_method(get_task("flat"), method), **settings)
+        task = replace(get_task("flat", method), **settings)
         return Environment(task, puppet(num_envs), pattern, seed=3)
 
     return environment
@@ -59,7 +60,7 @@ def test_ppo_has_all_of_the_torque_range(make):
     for action, share in ((2.0, 0.5), (4.0, 1.0), (-9.0, -1.0)):
         environment.step(torch.full((4, NUM_JOINTS), action))
         call = environment.engine.calls[-1]
-        assert torch.allclose(call["reflex_torque"], share * limit)
+        assert torch.allclose(call["torque"], share * limit)
         assert not call["target"].any()
 
 
@@ -95,7 +96,7 @@ def test_amp_actions_are_target_angles(make):
     call = environment.engine.calls[-1]
     low, high = skeleton().ranges.unbind(dim=1)
     assert torch.allclose(call["target"], (0.5 * (low + high)).expand(4, -1))
-    assert not call["reflex_torque"].any()
+    assert not call["torque"].any()
     environment.step(torch.full((4, NUM_JOINTS), 0.5))
     knee = joint_index("left_knee")
     expected = math.radians(0.5 * 160 + 0.5 * 0.7 * 160)
@@ -134,21 +135,24 @@ def test_all_methods_mirror_alike():
     """A mirrored action is the mirrored motion: middle and reach of AMP's targets are mirror images of themselves."""
     low, high = skeleton().ranges.unbind(dim=1)
     middle, reach = 0.5 * (low + high), high - low
-    assert torch.allclose(humanoid.mirror_joints(middle), middle, atol=1e-6)
-    assert torch.allclose(reach[list(humanoid.MIRROR_PERMUTATION)], reach, atol=1e-6)
+    assert torch.allclose(mirror.JOINTS(middle), middle, atol=1e-6)
+    assert torch.allclose(reach[list(mirror.JOINTS.permutation)], reach, atol=1e-6)
     assert len(JOINT_NAMES) == len(middle)
 
 
 def test_settings_that_differ_between_methods():
     """The one table: all else of the task is the same."""
-    plain = get_task("flat")
+    plain = TASKS["flat"]()
+    common = {each.name for each in fields(Task)} - {"method", "rewards", "learning"}
+    own = {"ai-cpg": {"pattern_tracking"}, "ppo": {"target_speed"}, "amp": set()}
     for name in METHODS:
-        task = with_method(plain, name)
+        task = get_task("flat", name)
         assert task.method == name
-        assert replace(task, method=plain.method, learning=plain.learning) == plain
-    assert with_method(plain, "ai-cpg") == plain
-    assert with_method(plain, "ppo").learning == plain.learning
-    learning = with_method(plain, "amp").learning
+        assert all(getattr(task, each) == getattr(plain, each) for each in common)
+        assert set(task.rewards) - set(plain.rewards) == own[name]
+        assert all(task.rewards[each] == term for each, term in plain.rewards.items())
+    assert get_task("flat", "ppo").learning == get_task("flat").learning == plain.learning
+    learning = get_task("flat", "amp").learning
     assert math.log(learning.initial_std) == pytest.approx(-2.9, abs=0.01)
     rates = ("learning_rate", "learning_rate_schedule", "epochs", "minibatches")
     names = ("initial_std", "learn_std", "network", "symmetry", *rates)

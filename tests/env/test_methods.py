@@ -5,7 +5,7 @@ import pytest
 from aicpg_newton.env.actuation import Actuation
 from aicpg_newton.env.methods import METHODS, get_method, with_method
 from aicpg_newton.errors import UserError
-from tasks import get_task
+from tasks import TASKS, get_task
 
 
 def test_an_unknown_method_is_named():
@@ -13,7 +13,7 @@ def test_an_unknown_method_is_named():
     with pytest.raises(UserError, match=r"unknown method 'sac'; choose one of: ai-cpg, ppo, amp"):
         get_method("sac")
     with pytest.raises(UserError, match="unknown method"):
-        with_method(get_task("flat"), "sac")
+        get_task("flat", "sac")
 
 
 def test_methods_are_told_apart():
@@ -25,6 +25,6 @@ def test_methods_are_told_apart():
 
 def test_a_task_with_a_method_is_a_new_task():
     """The registry's own settings are left alone."""
-    plain = get_task("uneven")
+    plain = TASKS["uneven"]()
     with_method(plain, "ppo")
-    assert plain == get_task("uneven")
+    assert plain == TASKS["uneven"]()

@@ -8,11 +8,15 @@ import torch
 
 from aicpg_newton.engines import BodyState
 from aicpg_newton.env import style
+from aicpg_newton.env.observations import mirror_of
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.robot import humanoid, rotations
 from aicpg_newton.robot.humanoid import CONTROL_DT
 from aicpg_newton.robot.kinematics import forward_kinematics
+from aicpg_newton.robot.mirror import JOINTS
+
+MIRROR = mirror_of(style.BLOCKS)
 
 
 def random_motion(seed: int = 0, *shape: int) -> dict[str, torch.Tensor]:
@@ -44,13 +48,13 @@ def look(motion: dict[str, torch.Tensor]) -> torch.Tensor:
 
 def by_block(state: torch.Tensor) -> dict[str, torch.Tensor]:
     """A style state's blocks by name."""
-    names, sizes = zip(*style.BLOCKS, strict=True)
-    return dict(zip(names, state.split(sizes, dim=-1), strict=True))
+    parts = state.split([block.mirror.size for block in style.BLOCKS], dim=-1)
+    return {block.name: part for block, part in zip(style.BLOCKS, parts, strict=True)}
 
 
 def test_size_and_batch():
     """81 numbers, for a batch of any shape."""
-    assert style.STYLE_SIZE == 81
+    assert MIRROR.size == 81
     motion = random_motion(0, 4, 2)
     state = look(motion)
     assert state.shape == (4, 2, 81)
@@ -101,7 +105,8 @@ def test_frames_of_the_blocks():
     seen = {name: block[0].tolist() for name, block in by_block(look(motion)).items()}
     assert seen["root_height"] == pytest.approx([0.9])
     sine, cosine = math.sin(0.3), math.cos(0.3)
-    assert seen["root_rotation"] == pytest.approx([cosine, 0.0, -sine, sine, 0.0, cosine], abs=1e-6)
+    assert seen["root_forward"] == pytest.approx([cosine, 0.0, -sine], abs=1e-6)
+    assert seen["root_up"] == pytest.approx([sine, 0.0, cosine], abs=1e-6)
     assert seen["linear_velocity"] == pytest.approx([2.0, 0.0, 0.5], abs=1e-6)
     assert seen["angular_velocity"] == pytest.approx([0.0, 1.0, 3.0], abs=1e-6)
     assert seen["joint_position"] == motion["joint_position"][0].tolist()
@@ -136,14 +141,14 @@ def test_mirror_image_of_the_state_is_the_state_of_the_mirror_image():
         "root_rotation": motion["root_rotation"] * torch.tensor([-1.0, 1.0, -1.0, 1.0]),
         "root_linear_velocity": motion["root_linear_velocity"] * vector,
         "root_angular_velocity": motion["root_angular_velocity"] * axial,
-        "joint_position": humanoid.mirror_joints(motion["joint_position"]),
-        "joint_velocity": humanoid.mirror_joints(motion["joint_velocity"]),
+        "joint_position": JOINTS(motion["joint_position"]),
+        "joint_velocity": JOINTS(motion["joint_velocity"]),
         "ground_height": motion["ground_height"],
     }
     state = look(motion)
-    assert torch.allclose(style.mirror(state), look(image), atol=1e-5)
-    assert not torch.allclose(style.mirror(state), state, atol=0.1)
-    assert torch.equal(style.mirror(style.mirror(state)), state)
+    assert torch.allclose(MIRROR(state), look(image), atol=1e-5)
+    assert not torch.allclose(MIRROR(state), state, atol=0.1)
+    assert torch.equal(MIRROR(MIRROR(state)), state)
 
 
 @pytest.mark.parametrize(("gait", "speed"), [("walk", 1.149), ("run", 3.019)])
@@ -170,7 +175,7 @@ def test_reference_motion(pattern: PatternNetwork, gait: str, speed: float):
 def test_reference_motion_is_symmetric(pattern: PatternNetwork):
     """Half a stride later it is its own mirror image."""
     reference = style.reference_motion(pattern, "run", phases=64)
-    assert torch.allclose(style.mirror(reference), reference.roll(32, dims=0), atol=1e-3)
+    assert torch.allclose(MIRROR(reference), reference.roll(32, dims=0), atol=1e-3)
 
 
 def test_unknown_gait(pattern: PatternNetwork):

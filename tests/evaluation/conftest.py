@@ -29,8 +29,8 @@ def glider(puppet):
                 angles[humanoid.joint_index(name)] = angle
             return angles
 
-        def step(self, target, target_velocity, reflex_torque, *, push=None) -> None:
-            super().step(target, target_velocity, reflex_torque, push=push)
+        def step(self, target, target_velocity, torque, *, push=None) -> None:
+            super().step(target, target_velocity, torque, push=push)
             self.pushed.append(push)
             position = self.state.root_position.clone()
             position[:, 0] += (1.0 + 0.5 * torch.arange(self.num_envs)) / 60

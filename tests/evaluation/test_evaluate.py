@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from aicpg_newton import evaluate as command_line
+from aicpg_newton.env.task import ReflexTask
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluate import EvaluateOptions, main
 from aicpg_newton.evaluation import results
@@ -56,7 +57,7 @@ def test_the_cpg_alone_with_all_protocols(tmp_path: Path, capsys: pytest.Capture
     out = tmp_path / "results"
     main(EvaluateOptions(agent="zero", num_envs=6, device="cpu", seed=2, out=out))
     assert not (out / "terrain.csv").exists() and not (out / "training.csv").exists()
-    for name in ("sweep", "disturbance", "transition", "command"):
+    for name in ("sweep", "disturbance", "transition", "speed"):
         rows, content = results.read_table(out, name), results.read_description(out, name)
         assert rows and {row["method"] for row in rows} == {"CPG alone"}
         for row in rows:
@@ -104,8 +105,10 @@ def test_a_run_folder_and_another_seed(run_folder: Path, tmp_path: Path):
 def test_a_checkpoint_may_be_tested_on_another_task(run_folder: Path):
     """The task's own ground and falls, the checkpoint's reflex and networks."""
     task = get_task("flat")
+    assert isinstance(task, ReflexTask)
     task.name, task.termination.maximum_tilt, task.reflex.torque_share = "hills", 50.0, 0.9
     controller = trained(run_folder, task)
+    assert isinstance(controller.task, ReflexTask)
     assert controller.task.name == "hills" and controller.task.termination.maximum_tilt == 50.0
     assert controller.task.reflex.torque_share == 0.25 and controller.task.learning.hidden_sizes == (16,)
 

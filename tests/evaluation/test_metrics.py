@@ -10,8 +10,9 @@ from aicpg_newton.evaluation import metrics
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.playing.rollout import Tally, kinematic_frames
 from aicpg_newton.robot import rotations
-from aicpg_newton.robot.humanoid import JOINT_NAMES, MJCF_PATH, joint_index, mirror_joints
+from aicpg_newton.robot.humanoid import JOINT_NAMES, MJCF_PATH, joint_index
 from aicpg_newton.robot.kinematics import centre_of_mass, sole_corners, sole_heights
+from aicpg_newton.robot.mirror import JOINTS
 
 
 def everything(time: int, num_envs: int = 1) -> torch.Tensor:
@@ -89,7 +90,7 @@ def test_symmetry_index_sums_over_time_and_averages_over_joints():
 def test_symmetry_index_of_a_mirrored_pose_is_zero():
     """Hips spread to both sides (opposite signs of x) are symmetric; both turned to one side are not."""
     angles = 0.5 * torch.randn(1, 1, 28, generator=torch.Generator().manual_seed(0))
-    spread = (0.5 * (angles + mirror_joints(angles))).expand(4, 1, 28)
+    spread = (0.5 * (angles + JOINTS(angles))).expand(4, 1, 28)
     assert metrics.symmetry_index(spread, everything(4), torch.zeros(1)).item() == pytest.approx(0.0, abs=1e-6)
     slanted = spread.clone()
     slanted[..., joint_index("left_hip_x")] *= -1.0
@@ -101,7 +102,7 @@ def test_symmetry_index_does_not_care_which_side_leads():
     angles = torch.randn(200, 1, 28, generator=torch.Generator().manual_seed(1))
     lag = torch.zeros(1)
     value = metrics.symmetry_index(angles, everything(200), lag)
-    torch.testing.assert_close(metrics.symmetry_index(mirror_joints(angles), everything(200), lag), value)
+    torch.testing.assert_close(metrics.symmetry_index(JOINTS(angles), everything(200), lag), value)
     torch.testing.assert_close(metrics.symmetry_index(2.0 * angles, everything(200), lag), value)
     assert 0.0 < value.item() <= 2.0
 

@@ -12,9 +12,9 @@ from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.evaluation import summaries
 from aicpg_newton.evaluation.protocols import (
-    COMMAND,
     DISTURBANCE,
     PROTOCOLS,
+    SPEED,
     SWEEP,
     TERRAIN,
     TERRAIN_SEEDS,
@@ -23,7 +23,7 @@ from aicpg_newton.evaluation.protocols import (
     Protocol,
 )
 from aicpg_newton.evaluation.summaries import Source
-from aicpg_newton.evaluation.trajectories import Recording, record
+from aicpg_newton.evaluation.trajectories import Trajectories, record
 from aicpg_newton.playing.rollout import share_out
 from aicpg_newton.robot.humanoid import motors
 from aicpg_newton.robot.kinematics import sole_heights
@@ -32,8 +32,8 @@ from tasks import get_task
 SOURCE = Source("AI-CPG", 3, 100)
 
 
-def run(protocol: Protocol, engine, pattern, frequencies=None) -> Recording:
-    """A recording of the CPG alone, on the engine's ground."""
+def run(protocol: Protocol, engine, pattern, frequencies=None) -> Trajectories:
+    """A trajectories of the CPG alone, on the engine's ground."""
     task = get_task("flat")
     if engine.terrain is not None:
         task.ground = engine.terrain.ground
@@ -47,12 +47,12 @@ def run(protocol: Protocol, engine, pattern, frequencies=None) -> Recording:
 def test_protocols_are_the_papers():
     """Frequencies, times and forces of Sec. III."""
     assert SWEEP.frequencies[0] == 0.7 and SWEEP.frequencies[-1] == 1.4 and SWEEP.duration == 20.0
-    assert SWEEP.frequencies == tuple(sorted(SWEEP.frequencies)) and SWEEP.conditions == 15
+    assert SWEEP.frequencies == tuple(sorted(SWEEP.frequencies)) and SWEEP.groups == 15
     pushes = DISTURBANCE.pushes()
     assert (pushes.force, pushes.duration, pushes.interval) == (200.0, 0.1, 1.0)
     assert DISTURBANCE.steps == 3600 and DISTURBANCE.checkpoints == 5
     assert TRANSITION.frequencies == (0.7,) and TRANSITION.ramp == 0.023 and TRANSITION.steps == 1800
-    assert SWEEP.pushes().force == TRANSITION.pushes().force == COMMAND.pushes().force == 0.0
+    assert SWEEP.pushes().force == TRANSITION.pushes().force == SPEED.pushes().force == 0.0
     for protocol in PROTOCOLS.values():
         assert protocol.columns[-1] == "reason" and len(set(protocol.columns)) == len(protocol.columns)
     assert SWEEP.columns[:-1] == (
@@ -74,18 +74,18 @@ def test_checkpoints_of_a_training():
 
 
 def test_environments_are_shared_out_evenly():
-    """64 over 15 conditions: 4 or 5 each, in order."""
+    """64 over 15 groups: 4 or 5 each, in order."""
     shares = share_out(64, 15)
     assert set(shares.bincount().tolist()) == {4, 5}
     assert shares.tolist() == sorted(shares.tolist())
 
 
 def test_a_sweep_reads_off_the_known_motion(glider, pattern):
-    """Two conditions of two robots at 1, 1.5, 2 and 2.5 m/s; 100 W; flight in 12 of 60 steps."""
+    """Two groups of two robots at 1, 1.5, 2 and 2.5 m/s; 100 W; flight in 12 of 60 steps."""
     protocol = replace(SWEEP, duration=6.0, frequencies=(0.8, 1.2))
-    recording = run(protocol, glider(4), pattern)
-    assert recording.frequency[-1].tolist() == pytest.approx([0.8, 0.8, 1.2, 1.2])
-    rows, summary = summaries.sweep_rows(recording, torch.tensor(protocol.frequencies), SOURCE)
+    trajectories = run(protocol, glider(4), pattern)
+    assert trajectories.frequency[-1].tolist() == pytest.approx([0.8, 0.8, 1.2, 1.2])
+    rows, summary = summaries.sweep_rows(trajectories, torch.tensor(protocol.frequencies), SOURCE)
     assert [row["frequency_hz"] for row in rows] == pytest.approx([0.8, 1.2])
     assert [row["speed_mps"] for row in rows] == pytest.approx([1.25, 2.25], rel=1e-3)
     weight = 48.9 * 9.81
@@ -119,11 +119,11 @@ def test_falls_end_what_is_measured_and_are_counted(glider, pattern):
     engine = glider(2)
     engine.fall_at = {1: 180}
     protocol = replace(SWEEP, duration=6.0, frequencies=(1.0,))
-    recording = run(protocol, engine, pattern)
-    assert recording.fallen.nonzero().tolist() == [[180, 1]]
-    assert recording.settled.sum(dim=0).tolist() == [300, 120]
-    assert recording.age[181, 1] == 0 and torch.isnan(recording.speed[181, 1])
-    row = summaries.sweep_rows(recording, torch.tensor([1.0]), SOURCE)[0][0]
+    trajectories = run(protocol, engine, pattern)
+    assert trajectories.fallen.nonzero().tolist() == [[180, 1]]
+    assert trajectories.settled.sum(dim=0).tolist() == [300, 120]
+    assert trajectories.age[181, 1] == 0 and torch.isnan(trajectories.speed[181, 1])
+    row = summaries.sweep_rows(trajectories, torch.tensor([1.0]), SOURCE)[0][0]
     assert row["survived"] == 0.5 and row["falls_per_minute"] == pytest.approx(5.0)
     assert row["speed_mps"] == pytest.approx(1.25, rel=1e-3)
 
@@ -132,26 +132,26 @@ def test_the_edge_of_the_terrain_ends_an_episode_without_a_fall(glider, pattern)
     """The faster of two robots comes to the edge: it starts again, and only its way before counts."""
     terrain = Terrain.make(Ground(height_range=0.1, length=24.0, width=16.0))
     assert terrain is not None
-    recording = run(replace(SWEEP, duration=6.0, frequencies=(1.0,)), glider(9, terrain), pattern)
+    trajectories = run(replace(SWEEP, duration=6.0, frequencies=(1.0,)), glider(9, terrain), pattern)
     fast = 8
-    first = int(recording.ended[:, fast].long().argmax())
-    assert 60 < first < 400 and not recording.fallen.any()
-    x = recording.root_position[..., 0]
+    first = int(trajectories.ended[:, fast].long().argmax())
+    assert 60 < first < 400 and not trajectories.fallen.any()
+    x = trajectories.root_position[..., 0]
     assert x[first, fast] > 22.9 and x[first + 1, fast] < 13.0
-    assert int(recording.standing[:, fast].sum()) == first
-    assert recording.age[first + 1, fast] == 0 and math.isnan(recording.speed[first + 1, fast])
-    assert not recording.settled[first:, fast].any()
-    assert torch.nanmean(recording.speed[:, fast]).item() == pytest.approx(5.0, rel=1e-3)
-    row = summaries.sweep_rows(recording.among(torch.arange(9) == fast), torch.tensor([1.0]), SOURCE)[0][0]
+    assert int(trajectories.standing[:, fast].sum()) == first
+    assert trajectories.age[first + 1, fast] == 0 and math.isnan(trajectories.speed[first + 1, fast])
+    assert not trajectories.settled[first:, fast].any()
+    assert torch.nanmean(trajectories.speed[:, fast]).item() == pytest.approx(5.0, rel=1e-3)
+    row = summaries.sweep_rows(trajectories.among(torch.arange(9) == fast), torch.tensor([1.0]), SOURCE)[0][0]
     assert row["speed_mps"] == pytest.approx(5.0, rel=1e-3)
     assert (row["survived"], row["falls_per_minute"], row["reason"]) == (1.0, 0.0, "")
-    rows, summary = summaries.transition_rows(recording, torch.tensor([1.0]), SOURCE)
+    rows, summary = summaries.transition_rows(trajectories, torch.tensor([1.0]), SOURCE)
     assert rows[-1]["standing"] == 1.0
     assert summary["environments_that_never_fell"] == 9 > summary["environments_that_got_through"]
     heights = [pose["height_m"] for pose in summary["poses"]]
     assert max(abs(height - 0.88) for height in heights) > 0.005  # above the ground below, not above 0
-    place = recording.root_position[59, 0]
-    assert float(place[2] - recording.ground_height[59, 0]) == pytest.approx(0.88 - float(terrain.height(place)))
+    place = trajectories.root_position[59, 0]
+    assert float(place[2] - trajectories.ground_height[59, 0]) == pytest.approx(0.88 - float(terrain.height(place)))
 
 
 def test_everything_falls_at_once(glider, pattern):
@@ -167,14 +167,14 @@ def test_everything_falls_at_once(glider, pattern):
 
     engine.step = falling
     start = torch.tensor([0.7, 1.0, 1.3])
-    recording = run(replace(SWEEP, duration=3.0, frequencies=(0.7, 1.0, 1.3)), engine, pattern)
+    trajectories = run(replace(SWEEP, duration=3.0, frequencies=(0.7, 1.0, 1.3)), engine, pattern)
     tables = {
-        "sweep": summaries.sweep_rows(recording, start, SOURCE),
-        "disturbance": summaries.disturbance_rows(recording, start, SOURCE),
-        "transition": summaries.transition_rows(recording, start[:1], SOURCE),
-        "command": summaries.command_rows(recording, start, np.array([1.0, 2.0, 3.0]), SOURCE),
+        "sweep": summaries.sweep_rows(trajectories, start, SOURCE),
+        "disturbance": summaries.disturbance_rows(trajectories, start, SOURCE),
+        "transition": summaries.transition_rows(trajectories, start[:1], SOURCE),
+        "speed": summaries.speed_rows(trajectories, start, np.array([1.0, 2.0, 3.0]), SOURCE),
     }
-    tables["command again"] = summaries.no_commands(SOURCE)
+    tables["command again"] = summaries.no_speeds(SOURCE)
     for name, (rows, _) in tables.items():
         for row in rows:
             empty = [key for key, value in row.items() if value is None or value != value]
@@ -191,21 +191,21 @@ def test_a_disturbance_pushes_in_a_tenth_of_every_second(glider, pattern):
     engine = glider(4)
     engine.fall_at = {0: 100, 1: 200}
     protocol = replace(DISTURBANCE, duration=10.0, frequencies=(0.8, 1.2))
-    recording = run(protocol, engine, pattern)
+    trajectories = run(protocol, engine, pattern)
     force = torch.stack([push for push in engine.pushed if push is not None])
     assert len(force) == 600
     assert ((force != 0).any(dim=2).sum(dim=0) - 60).abs().max() <= 6
     assert 150.0 < force.abs().max() <= 200.0 and (force.abs().amax(dim=(0, 1)) > 100.0).all()
-    rows, _ = summaries.disturbance_rows(recording, torch.tensor([0.8, 1.2]), SOURCE)
+    rows, _ = summaries.disturbance_rows(trajectories, torch.tensor([0.8, 1.2]), SOURCE)
     assert [row["falls_per_minute"] for row in rows] == pytest.approx([6.0, 0.0])
     assert rows[1]["speed_mps"] == pytest.approx(2.25, rel=1e-3) and rows[0]["iteration"] == 100
 
 
 def test_a_transition_raises_the_frequency(glider, pattern):
     """f(t) = 0.7 + 0.023 t; windows of 60 steps; the diagram shows an environment's feet."""
-    recording = run(replace(TRANSITION, duration=8.0), glider(2), pattern)
-    assert recording.frequency[300].tolist() == pytest.approx([0.815, 0.815], abs=1e-4)
-    rows, summary = summaries.transition_rows(recording, torch.tensor([0.7]), SOURCE)
+    trajectories = run(replace(TRANSITION, duration=8.0), glider(2), pattern)
+    assert trajectories.frequency[300].tolist() == pytest.approx([0.815, 0.815], abs=1e-4)
+    rows, summary = summaries.transition_rows(trajectories, torch.tensor([0.7]), SOURCE)
     assert len(rows) == 480 and rows[-1]["time_s"] == pytest.approx(8.0)
     middle = rows[240]
     assert middle["speed_mps"] == pytest.approx(1.25, rel=1e-3)
@@ -226,21 +226,21 @@ def test_gait_changes_by_hand():
     ramp = (0.7 + 0.023 * torch.arange(1800) / 60).unsqueeze(1).repeat(1, 2)
     nothing = torch.zeros(1800, 2)
     given = ("frequency", "fallen", "ended")
-    others = {each.name: nothing for each in fields(Recording) if each.name not in given}
+    others = {each.name: nothing for each in fields(Trajectories) if each.name not in given}
     others = {**others, "terrain": None}
-    recording = Recording(frequency=ramp, fallen=nothing.bool(), ended=nothing.bool(), **others)
+    trajectories = Trajectories(frequency=ramp, fallen=nothing.bool(), ended=nothing.bool(), **others)
     speed = torch.linspace(1.0, 4.0, 1800).unsqueeze(1).repeat(1, 2)
     flight = torch.zeros(1800, 2)
     flight[1000:1100] = 0.1
     flight[1300:] = 0.2
     speed[:60], flight[:60] = math.nan, math.nan
-    found = summaries.gait_changes(recording, speed, flight)
+    found = summaries.gait_changes(trajectories, speed, flight)
     assert found["transition_speed_mps"]["mean"] == pytest.approx(2.048, abs=2e-3)
     assert found["flight_begins_hz"]["mean"] == pytest.approx(0.7 + 0.023 * 1000 / 60, abs=1e-4)
     assert found["flight_is_steady_hz"]["mean"] == pytest.approx(0.7 + 0.023 * 1300 / 60, abs=1e-4)
     assert found["flight_begins_hz"]["environments"] == 2
     flight[-1] = 0.0
-    found = summaries.gait_changes(recording, torch.full_like(speed, 1.0), flight)
+    found = summaries.gait_changes(trajectories, torch.full_like(speed, 1.0), flight)
     assert found["flight_is_steady_hz"]["reason"] and found["transition_speed_mps"]["reason"]
 
 
@@ -252,19 +252,19 @@ def test_a_speed_becomes_a_frequency_by_the_sweeps_curve():
         for f, v, seed in points
     ]
     rows.append({"method": "AI-CPG", "seed": 3, "frequency_hz": 1.3, "speed_mps": 7.0, "survived": 0.25})
-    speeds, frequencies = summaries.commands(rows, SOURCE, 8)
+    speeds, frequencies = summaries.speeds_to_command(rows, SOURCE, 8)
     assert speeds.tolist() == pytest.approx(np.linspace(1.0, 2.4, 8).tolist())
     assert frequencies[0] == 0.7 and frequencies[-1] == pytest.approx(1.1)
     assert np.interp(1.4, speeds, frequencies) == pytest.approx(0.78)
     assert (np.diff(frequencies) > 0).all()
-    assert len(summaries.commands(rows, Source("PPO", 3, 0), 8)[0]) == 0
+    assert len(summaries.speeds_to_command(rows, Source("PPO", 3, 0), 8)[0]) == 0
 
 
 def test_command_errors(glider, pattern):
     """Robots at 1 and 1.5 m/s told to do 1.2 and 1.5."""
-    protocol = replace(COMMAND, duration=4.0)
-    recording = run(protocol, glider(2), pattern, frequencies=(0.8, 1.0))
-    rows, summary = summaries.command_rows(recording, torch.tensor([0.8, 1.0]), np.array([1.2, 1.5]), SOURCE)
+    protocol = replace(SPEED, duration=4.0)
+    trajectories = run(protocol, glider(2), pattern, frequencies=(0.8, 1.0))
+    rows, summary = summaries.speed_rows(trajectories, torch.tensor([0.8, 1.0]), np.array([1.2, 1.5]), SOURCE)
     assert [row["error_mps"] for row in rows] == pytest.approx([-0.2, 0.0], abs=1e-3)
     assert summary["mean_absolute_error_mps"] == pytest.approx(0.1, abs=1e-3)
     assert summary["largest_absolute_error_mps"] == pytest.approx(0.2, abs=1e-3)

@@ -9,7 +9,7 @@ import pytest
 
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import results
-from aicpg_newton.evaluation.protocols import COMMAND, SWEEP
+from aicpg_newton.evaluation.protocols import SPEED, SWEEP
 
 CONTROLLERS = [{"method": "AI-CPG", "seed": 1, "task": "flat", "checkpoints": [{"file": "model_9.pt", "sha256": "ab"}]}]
 
@@ -74,8 +74,8 @@ def test_results_are_never_overwritten(tmp_path: Path):
         results.prepare(tmp_path, ["sweep"], CONTROLLERS)
     other = [{**CONTROLLERS[0], "checkpoints": [{"file": "model_9.pt", "sha256": "cd"}]}]
     with pytest.raises(UserError, match="other controllers"):
-        results.prepare(tmp_path, ["command"], other)
-    results.prepare(tmp_path, ["command"], CONTROLLERS)
+        results.prepare(tmp_path, ["speed"], other)
+    results.prepare(tmp_path, ["speed"], CONTROLLERS)
     assert (tmp_path / "sweep.csv").read_text() == before
 
 
@@ -88,14 +88,14 @@ def test_bad_folders(tmp_path: Path):
     with pytest.raises(UserError, match="run the sweep protocol first"):
         results.read_table(tmp_path, "sweep")
     write(tmp_path, [row()])
-    (tmp_path / "command.csv").write_text((tmp_path / "sweep.csv").read_text())
-    with pytest.raises(UserError, match="columns of the command"):
-        results.read_table(tmp_path, COMMAND.name)
+    (tmp_path / "speed.csv").write_text((tmp_path / "sweep.csv").read_text())
+    with pytest.raises(UserError, match="columns of the speed"):
+        results.read_table(tmp_path, SPEED.name)
     text = (tmp_path / "sweep.csv").read_text()
     (tmp_path / "sweep.csv").write_text(text.replace("0.5", "fast", 1))
     with pytest.raises(UserError, match="not a number"):
         results.read_table(tmp_path, "sweep")
     (tmp_path / "sweep.json").write_text("{")
-    (tmp_path / "command.csv").unlink()
+    (tmp_path / "speed.csv").unlink()
     with pytest.raises(UserError, match="cannot be read"):
-        results.prepare(tmp_path, ["command"], CONTROLLERS)
+        results.prepare(tmp_path, ["speed"], CONTROLLERS)

@@ -11,7 +11,6 @@ import torch
 from aicpg_newton import evaluate as command_line
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.env.environment import Environment
-from aicpg_newton.env.methods import with_method
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluate import EvaluateOptions, main
@@ -64,7 +63,7 @@ def make_run(tmp_path: Path, glider, pattern):
 
 def ppo(task: str, speed: float) -> Task:
     """The PPO baseline for a speed."""
-    return with_method(get_task(task), f"ppo:{speed}")
+    return get_task(task, f"ppo:{speed}")
 
 
 def options(out: Path, *checkpoints: Path, **changes) -> EvaluateOptions:
@@ -134,7 +133,7 @@ def test_terrain_is_part_of_everything_where_the_ground_is_uneven(
     monkeypatch.setattr(command_line, "evaluate", lambda protocols, *_: asked.extend(each.name for each in protocols))
     monkeypatch.setattr(command_line, "draw_all", lambda *_: [])
     main(EvaluateOptions(agent="zero", task=ground, device="cpu", out=tmp_path))
-    assert asked == ["sweep", "disturbance", "transition", "command", *more]
+    assert asked == ["sweep", "disturbance", "transition", "speed", *more]
 
 
 @pytest.mark.parametrize("seed", [0, 1003])
@@ -153,14 +152,14 @@ def test_terrain_of_the_training_is_refused(seed: int, make_run, worlds: list[Ta
 
 
 def test_a_whole_training(make_run, worlds: list[Task], monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    """Twelve of fifteen checkpoints; five samples of up to four robots each; no recording outlives its checkpoint."""
+    """Twelve of fifteen checkpoints; five samples of up to four robots each; no record outlives its checkpoint."""
     made: list[weakref.ref] = []
 
     def remembered(*arguments):
         assert not [each for each in made if each() is not None]
-        recording = record(*arguments)
-        made.append(weakref.ref(recording))
-        return recording
+        trajectories = record(*arguments)
+        made.append(weakref.ref(trajectories))
+        return trajectories
 
     monkeypatch.setattr(running, "record", remembered)
     run = make_run("run", get_task("flat"), iterations=tuple(range(0, 150, 10)))
@@ -193,8 +192,8 @@ def test_a_way_ends_with_the_fall(glider, pattern):
     environment = Environment(get_task("flat"), engine, pattern)
     start = torch.tensor([0.9])
     protocol = replace(TRAINING, duration=2.0)
-    recording = record(protocol, start, environment, lambda observed: observed.new_zeros(len(observed), 28))
-    rows, summary = terrain_summaries.training_rows(recording, start, Source("AI-CPG", 0, 5))
+    trajectories = record(protocol, start, environment, lambda observed: observed.new_zeros(len(observed), 28))
+    rows, summary = terrain_summaries.training_rows(trajectories, start, Source("AI-CPG", 0, 5))
     assert [row["time_s"] for row in rows] == pytest.approx([0.5, 0.75])
     assert [row["reason"] for row in rows] == ["", "fell"] and rows[1]["vx_mps"] == pytest.approx(1.0, abs=1e-3)
     (walking,) = summary["gaits"]
@@ -205,7 +204,7 @@ def test_a_way_ends_with_the_fall(glider, pattern):
 def test_baselines_have_one_condition(make_run, worlds: list[Task], tmp_path: Path, capsys: pytest.CaptureFixture):
     """A row per controller in sweep and disturbance, no part in the transition; speeds of one seed are told apart."""
     slow, fast = make_run("slow", ppo("flat", 1.5)), make_run("fast", ppo("flat", 3.0))
-    run = make_run("style", with_method(get_task("flat"), "amp:run"))
+    run = make_run("style", get_task("flat", "amp:run"))
     out = tmp_path / "out"
     main(options(out, slow, fast, run))  # four environments: enough where there is but one condition
     sweep, disturbance = results.read_table(out, "sweep"), results.read_table(out, "disturbance")
@@ -213,12 +212,12 @@ def test_baselines_have_one_condition(make_run, worlds: list[Task], tmp_path: Pa
         assert [(row["method"], row["condition"]) for row in rows] == [("PPO", "1.5"), ("PPO", "3.0"), ("AMP", "run")]
         assert all(math.isnan(row["frequency_hz"]) and row["reason"] == "" for row in rows)
         assert [row["speed_mps"] for row in rows] == pytest.approx([1.75] * 3, rel=1e-3)
-    assert not (out / "transition.csv").exists() and not (out / "command.csv").exists()
+    assert not (out / "transition.csv").exists() and not (out / "speed.csv").exists()
     assert (out / "figure_3.png").exists()
     left_out = "left out, as they follow none: PPO 1.5, seed 0; PPO 3.0, seed 0; AMP run, seed 0."
     told = capsys.readouterr().err
-    assert f"The transition protocol turns the stride frequency; {left_out}" in told and "The command" in told
-    for name in ("transition", "command"):
+    assert f"The transition protocol turns the stride frequency; {left_out}" in told and "The speed" in told
+    for name in ("transition", "speed"):
         with pytest.raises(UserError, match=f"the {name} protocol turns the stride frequency, which PPO 1.5, seed 0"):
             main(options(tmp_path / name, slow, protocol=name))
     with pytest.raises(UserError, match=r"two checkpoints are of PPO 1\.5, seed 0"):
@@ -233,7 +232,7 @@ def test_gaits_of_baselines(make_run):
     """That of the speed they were trained for; a Froude number of 0.5 is passed at 2.05 m/s."""
     gaits = [trained(make_run(str(v), ppo("flat", v))).gait for v in (1.5, 2.0, 2.5, 4.0)]
     assert gaits == ["walking", "walking", "running", "running"]
-    styles = [trained(make_run(name, with_method(get_task("flat"), f"amp:{name}"))).gait for name in ("walk", "run")]
+    styles = [trained(make_run(name, get_task("flat", f"amp:{name}"))).gait for name in ("walk", "run")]
     assert styles == ["walking", "running"] and trained(make_run("cpg", get_task("flat"))).gait == ""
 
 

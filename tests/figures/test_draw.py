@@ -72,7 +72,7 @@ def made_up(folder: Path, method: str, seeds: tuple[int, ...], fallen: bool = Fa
             for iteration in (80, 100):
                 falls = {"iteration": iteration, "speed_mps": v, "falls_per_minute": 15 - i + iteration / 10}
                 tables["disturbance"].append({**head, **falls})
-            tables["command"].append(
+            tables["speed"].append(
                 {**head, "commanded_mps": v, "speed_mps": v + 0.1, "error_mps": 0.1, "survived": 1.0}
             )
         for gait, f in GAITS.items():
@@ -114,7 +114,7 @@ def made_up(folder: Path, method: str, seeds: tuple[int, ...], fallen: bool = Fa
     return folder
 
 
-FIGURES = ["command.png", "figure_3.png", "figure_5a.png", "figure_5b.png", "figure_6.png"]
+FIGURES = ["figure_3.png", "figure_5a.png", "figure_5b.png", "figure_6.png", "speed.png"]
 
 
 def test_methods_and_seeds_share_the_panels(tmp_path: Path):
@@ -122,10 +122,10 @@ def test_methods_and_seeds_share_the_panels(tmp_path: Path):
     folders = [made_up(tmp_path / "a", "AI-CPG", (0, 1)), made_up(tmp_path / "b", "CPG alone", (0,))]
     paths = draw_all(folders, tmp_path)
     assert sorted(path.name for path in paths) == [
-        *FIGURES[:2],
+        *FIGURES[:1],
         "figure_4_ai_cpg.png",
         "figure_4_cpg_alone.png",
-        *FIGURES[2:],
+        *FIGURES[1:],
     ]
     for path in paths:
         image = np.asarray(Image.open(path).convert("L"))
@@ -137,7 +137,7 @@ def test_methods_and_seeds_share_the_panels(tmp_path: Path):
 def test_results_without_a_number_give_figures_that_say_so(tmp_path: Path):
     """Everything fell: no crash, all figures."""
     paths = draw_all([made_up(tmp_path / "a", "AI-CPG", (0,), fallen=True)], tmp_path)
-    assert sorted(path.name for path in paths) == [*FIGURES[:2], "figure_4_ai_cpg.png", *FIGURES[2:]]
+    assert sorted(path.name for path in paths) == [*FIGURES[:1], "figure_4_ai_cpg.png", *FIGURES[1:]]
 
 
 def test_baselines_join_the_panels(tmp_path: Path):
@@ -145,7 +145,7 @@ def test_baselines_join_the_panels(tmp_path: Path):
     ppo = baseline(tmp_path / "ppo", "PPO", {"1.5": "walking", "2.0": "walking", "3.0": "running"})
     amp = baseline(tmp_path / "amp", "AMP", {"walk": "walking"}, (0,))
     alone = draw_all([ppo], ppo)
-    assert [path.name for path in alone] == FIGURES[1:4]
+    assert [path.name for path in alone] == FIGURES[:3]
     paths = draw_all([made_up(tmp_path / "cpg", "AI-CPG", (0, 1)), ppo, amp], tmp_path)
     assert {path.name for path in paths} == {*FIGURES, "figure_4_ai_cpg.png"}
     # A row of panels for each method.

@@ -12,13 +12,14 @@ from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
-from aicpg_newton.env.style import STYLE_SIZE, reference_motion
+from aicpg_newton.env.style import BLOCKS, reference_motion
 from aicpg_newton.env.task import Imitation
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.amp import AdversarialMotionPriors
 
 STEPS, NUM_ENVS = 8, 16
+STYLE_SIZE = sum(block.mirror.size for block in BLOCKS)
 
 
 class MadeUpEnvironment(VecEnv):

@@ -1,6 +1,8 @@
 """Checkpoint files: whole or not at all, and clear words about bad ones."""
 
+import errno
 from pathlib import Path
+from typing import IO
 
 import pytest
 import torch
@@ -15,6 +17,7 @@ def write(path: Path, iteration: int = 3) -> None:
         path,
         task={"name": "flat"},
         pattern={"format": 1},
+        observations=[["height", 1]],
         run={"seed": 0},
         iteration=iteration,
         samples=100,
@@ -29,6 +32,15 @@ def test_round_trip(tmp_path: Path):
     assert content["iteration"] == 3
     assert torch.equal(content["algorithm"]["actor_state_dict"]["weight"], torch.arange(5000.0))
     assert [path.name for path in tmp_path.iterdir()] == ["model_3.pt"]
+
+
+def test_checkpoints_of_the_first_version_do_not_say_what_they_see(tmp_path: Path):
+    """They are read as they are."""
+    write(tmp_path / "model_3.pt")
+    content = checkpoint.read(tmp_path / "model_3.pt")
+    del content["observations"]
+    checkpoint.save(content, tmp_path / "old.pt")
+    assert "observations" not in checkpoint.read(tmp_path / "old.pt")
 
 
 def test_a_run_folder_means_its_latest_checkpoint(tmp_path: Path):
@@ -70,11 +82,12 @@ def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.M
     """When the disk is full in the middle of a save, the checkpoint before it survives."""
     write(tmp_path / "model_1.pt", 1)
 
-    def fail(content: object, path: Path) -> None:
-        path.write_bytes(b"half")
-        raise OSError("no space left")
+    def fail(content: object, file: IO[bytes]) -> None:
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(torch, "save", fail)
-    with pytest.raises(OSError, match="no space"):
+    with pytest.raises(UserError, match=r"cannot write .*model_1\.pt \(No space left on device\)"):
         write(tmp_path / "model_1.pt", 2)
+    assert [path.name for path in tmp_path.iterdir()] == ["model_1.pt"]
     assert checkpoint.read(tmp_path / "model_1.pt")["iteration"] == 1

@@ -7,13 +7,12 @@ import torch
 from rsl_rl.modules import MLP
 from tensordict import TensorDict
 
-from aicpg_newton.env import observations
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.observations import BODY, PATTERN, mirror_of
 from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.equivariant import (
-    JOINTS,
     EquivariantMLP,
     EquivariantModel,
     SymmetricNormalization,
@@ -22,8 +21,10 @@ from aicpg_newton.learning.equivariant import (
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.settings import runner_settings
 from aicpg_newton.learning.training import RunOptions, train
-from aicpg_newton.robot.humanoid import MIRROR_PERMUTATION, mirror_joints
+from aicpg_newton.robot.mirror import JOINTS
 from tasks import get_task
+
+MIRROR = mirror_of((*BODY, *PATTERN))
 
 
 def small_task() -> Task:
@@ -49,15 +50,15 @@ def asymmetry(runner: Runner) -> float:
     actor, critic = runner.alg.actor, runner.alg.critic
     assert isinstance(actor.obs_normalizer, SymmetricNormalization)
     seen = actor.obs_normalizer.mean + 2.0 * actor.obs_normalizer.std * torch.randn(200, 192)
-    one, other = (TensorDict({"policy": each}, batch_size=[len(each)]) for each in (seen, observations.mirror(seen)))
+    one, other = (TensorDict({"policy": each}, batch_size=[len(each)]) for each in (seen, MIRROR(seen)))
     with torch.no_grad():
-        action, value = mirror_joints(actor(one)) - actor(other), critic(one) - critic(other)
+        action, value = JOINTS(actor(one)) - actor(other), critic(one) - critic(other)
     return float(torch.cat((action, value), dim=1).abs().max())
 
 
 def test_halves_are_an_orthonormal_basis_in_which_the_mirror_turns_signs():
     """For the observations and the joints: 28 joints have 11 pairs, two of the trunk stay and four turn."""
-    for mirror in (observations.mirror_map(192), observations.mirror_map(136), JOINTS):
+    for mirror in (MIRROR, mirror_of(BODY), JOINTS):
         even, odd = halves(mirror)
         both = torch.cat((even, odd))
         size = len(mirror[0])
@@ -73,7 +74,7 @@ def test_an_equivariant_layer_starts_as_an_ordinary_one():
     torch.manual_seed(0)
     seen = torch.randn(2000, 192)
     ordinary = [MLP(192, 28, [512, 256, 128], "relu") for _ in range(5)]
-    symmetric = [EquivariantMLP(observations.mirror_map(192), JOINTS, [512, 256, 128], "relu") for _ in range(5)]
+    symmetric = [EquivariantMLP(MIRROR, JOINTS, [512, 256, 128], "relu") for _ in range(5)]
     with torch.no_grad():
         spread = [sum(float(network(seen).std()) for network in group) for group in (ordinary, symmetric)]
     assert spread[1] == pytest.approx(spread[0], rel=0.25)
@@ -91,8 +92,8 @@ def test_a_symmetric_rule_can_be_fitted(activation: str):
         return torch.tanh(seen @ rule + shift)
 
     seen = torch.randn(512, 192)
-    wanted = 0.5 * (whole(seen) + mirror_joints(whole(observations.mirror(seen))))
-    network = EquivariantMLP(observations.mirror_map(192), JOINTS, [64, 64], activation)
+    wanted = 0.5 * (whole(seen) + JOINTS(whole(MIRROR(seen))))
+    network = EquivariantMLP(MIRROR, JOINTS, [64, 64], activation)
     optimiser = torch.optim.Adam(network.parameters(), lr=3e-3)
     loss = torch.zeros(())
     for _ in range(400):
@@ -102,22 +103,22 @@ def test_a_symmetric_rule_can_be_fitted(activation: str):
         optimiser.step()
     assert loss.item() < 0.05 * float(wanted.var())
     with torch.no_grad():
-        mirrored = network(observations.mirror(seen))
-        torch.testing.assert_close(mirrored, mirror_joints(network(seen)), atol=1e-5, rtol=0.0)
+        mirrored = network(MIRROR(seen))
+        torch.testing.assert_close(mirrored, JOINTS(network(seen)), atol=1e-5, rtol=0.0)
 
 
 def test_the_normaliser_learns_as_if_from_mirror_images_too():
     """Mean and deviation are those of the samples and their mirror images, and exactly symmetric."""
-    mirror = observations.mirror_map(192)
+    mirror = MIRROR
     normaliser = SymmetricNormalization(mirror)
     samples = torch.randn(5, 64, 192) * torch.rand(192) + torch.randn(192)
     for batch in samples:
         normaliser.update(batch)
     everything = samples.flatten(0, 1)
-    everything = torch.cat((everything, observations.mirror(everything)))
+    everything = torch.cat((everything, MIRROR(everything)))
     torch.testing.assert_close(normaliser.mean, everything.mean(dim=0), atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(normaliser.std, everything.std(dim=0), atol=1e-3, rtol=1e-3)
-    assert torch.equal(observations.mirror(normaliser.mean), normaliser.mean)
+    assert torch.equal(MIRROR(normaliser.mean), normaliser.mean)
     assert torch.equal(normaliser.std[list(mirror[0])], normaliser.std)
     normaliser.eval()
     before = normaliser.mean
@@ -139,10 +140,10 @@ def test_symmetric_before_during_and_after_learning(puppet, pattern: PatternNetw
         assert isinstance(model, EquivariantModel)
         normaliser = model.obs_normalizer
         assert isinstance(normaliser, SymmetricNormalization)
-        assert torch.equal(observations.mirror(normaliser.mean), normaliser.mean)
+        assert torch.equal(MIRROR(normaliser.mean), normaliser.mean)
         assert float((normaliser.mean - 0.0).abs().max()) > 0.1
     spread = runner.alg.actor.output_std[0]
-    assert torch.equal(spread[list(MIRROR_PERMUTATION)], spread)
+    assert torch.equal(spread[list(JOINTS.permutation)], spread)
     assert spread.std() > 0.0
 
 
@@ -165,7 +166,8 @@ def test_export(size: int, tmp_path: Path):
     import onnx
     from onnx.reference import ReferenceEvaluator
 
-    settings = runner_settings(small_task(), 0)["actor"]
+    mirror = mirror_of((*BODY, *PATTERN)[: None if size == 192 else len(BODY)])
+    settings = runner_settings(small_task(), mirror, 0)["actor"]
     settings = {name: value for name, value in settings.items() if name != "class_name"}
     observed = TensorDict({"policy": 3.0 + torch.randn(64, size)}, batch_size=[64])
     model = EquivariantModel(observed, {"actor": ["policy"]}, "actor", 28, **settings)

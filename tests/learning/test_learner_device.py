@@ -8,6 +8,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch._subclasses.fake_tensor import FakeTensorMode
 
+from aicpg_newton.env.observations import BODY, PATTERN
 from aicpg_newton.learning.runner import Runner
 from tasks import get_task
 
@@ -19,7 +20,7 @@ class CpuEnvironment(VecEnv):
     """Takes actions on the CPU and gives back tensors there."""
 
     def __init__(self) -> None:
-        self.task = get_task("flat")
+        self.task, self.blocks = get_task("flat"), (*BODY, *PATTERN)
         self.num_envs, self.num_actions, self.max_episode_length = 4, 28, 1000
         self.device, self.cfg = CPU, {}
         self.episode_length_buf = torch.zeros(4, dtype=torch.long)

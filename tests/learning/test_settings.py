@@ -4,23 +4,26 @@ import torch
 from rsl_rl.modules import MLP
 from tensordict import TensorDict
 
-from aicpg_newton.env import observations
+from aicpg_newton.env.methods import with_method
+from aicpg_newton.env.observations import BODY, PATTERN, mirror_of
 from aicpg_newton.env.task import Learning, Task
-from aicpg_newton.learning.settings import runner_settings, with_mirror_images
-from aicpg_newton.robot.humanoid import mirror_joints
+from aicpg_newton.learning.settings import WithMirrorImages, runner_settings
+from aicpg_newton.robot.mirror import JOINTS
+
+MIRROR = mirror_of((*BODY, *PATTERN))
 
 
 def test_mirror_images_follow_the_originals():
     """Twice the batch: originals first, then their mirror images; either argument may be missing."""
     seen, actions = torch.randn(4, 192), torch.randn(4, 28)
-    doubled, doubled_actions = with_mirror_images(None, TensorDict({"policy": seen}, batch_size=[4]), actions)
+    doubled, doubled_actions = WithMirrorImages(MIRROR)(None, TensorDict({"policy": seen}, batch_size=[4]), actions)
     assert doubled is not None and doubled_actions is not None
     assert doubled.batch_size == (8,)
     assert torch.equal(doubled["policy"][:4], seen)
-    assert torch.equal(doubled["policy"][4:], observations.mirror(seen))
-    assert torch.equal(doubled_actions[4:], mirror_joints(actions))
-    assert with_mirror_images(None, None, actions)[0] is None
-    assert with_mirror_images(None, TensorDict({"policy": seen}, batch_size=[4]), None)[1] is None
+    assert torch.equal(doubled["policy"][4:], MIRROR(seen))
+    assert torch.equal(doubled_actions[4:], JOINTS(actions))
+    assert WithMirrorImages(MIRROR)(None, None, actions)[0] is None
+    assert WithMirrorImages(MIRROR)(None, TensorDict({"policy": seen}, batch_size=[4]), None)[1] is None
 
 
 def test_learning_from_mirror_images_makes_a_symmetric_network():
@@ -35,10 +38,10 @@ def test_learning_from_mirror_images_makes_a_symmetric_network():
 
     def asymmetry() -> float:
         with torch.no_grad():
-            return float((network(observations.mirror(seen)) - mirror_joints(network(seen))).abs().mean())
+            return float((network(MIRROR(seen)) - JOINTS(network(seen))).abs().mean())
 
     before = asymmetry()
-    doubled, doubled_actions = with_mirror_images(None, TensorDict({"policy": seen}, batch_size=[256]), actions)
+    doubled, doubled_actions = WithMirrorImages(MIRROR)(None, TensorDict({"policy": seen}, batch_size=[256]), actions)
     assert doubled is not None and doubled_actions is not None
     for _ in range(600):
         optimiser.zero_grad()
@@ -70,8 +73,8 @@ def test_settings_reach_rsl_rl():
         minimum_learning_rate=1e-4,
         maximum_learning_rate=3e-4,
     )
-    task = Task(name="test", learning=learning)
-    settings = runner_settings(task, seed=5)
+    task = with_method(Task(name="test", learning=learning), "ai-cpg")
+    settings = runner_settings(task, MIRROR, seed=5)
     assert settings["algorithm"]["learning_rate"] == 2e-4
     assert settings["algorithm"]["learning_rate_bounds"] == (1e-4, 3e-4)
     assert settings["algorithm"]["schedule"] == "fixed"
@@ -82,11 +85,11 @@ def test_settings_reach_rsl_rl():
     assert settings["algorithm"]["symmetry_cfg"]["use_data_augmentation"] is True
     assert settings["algorithm"]["use_clipped_value_loss"] is False
     learning.symmetry, learning.value_clipping, learning.critic_hidden_sizes = False, True, ()
-    settings = runner_settings(task, seed=5)
+    settings = runner_settings(task, MIRROR, seed=5)
     assert settings["algorithm"]["use_clipped_value_loss"] is True
     assert settings["algorithm"]["symmetry_cfg"] is None
     assert settings["critic"]["hidden_dims"] == [32, 16]
     learning.network, learning.symmetry = "equivariant", True
-    settings = runner_settings(task, seed=5)
+    settings = runner_settings(task, MIRROR, seed=5)
     assert all(settings[name]["class_name"].endswith(":EquivariantModel") for name in ("actor", "critic"))
     assert settings["algorithm"]["symmetry_cfg"] is None

@@ -14,8 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from aicpg_newton.device import torch_threads
 from aicpg_newton.env.environment import Environment, engine_for
-from aicpg_newton.env.methods import with_method
-from aicpg_newton.env.task import Task
+from aicpg_newton.env.task import ImitationTask, Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
@@ -25,9 +24,9 @@ from aicpg_newton.robot import humanoid
 from tasks import get_task
 
 
-def small_task() -> Task:
+def small_task(method: str = "ai-cpg") -> Task:
     """The flat task with little learning."""
-    task = get_task("flat")
+    task = get_task("flat", method)
     task.learning.hidden_sizes = (32, 32)
     task.learning.steps_per_iteration = 8
     task.learning.minibatches = 2
@@ -130,9 +129,10 @@ def test_resume_in_the_same_folder_keeps_what_is_there(run: Path, tmp_path: Path
 @pytest.mark.parametrize("method", ["ppo", "amp"])
 def test_baselines_train_on_both_engines(tmp_path: Path, method: str, engine: str):
     """Networks change, the checkpoint says what it is, and the discriminator's losses are logged for AMP alone."""
-    task = with_method(small_task(), method)
-    task.imitation.discriminator_hidden_sizes = (16, 8)
-    task.imitation.discriminator_batch = 8
+    task = small_task(method)
+    if isinstance(task, ImitationTask):
+        task.imitation.discriminator_hidden_sizes = (16, 8)
+        task.imitation.discriminator_batch = 8
     task.learning.save_interval = 1
     last = train(task, options(tmp_path / "run", engine=engine))
     assert task_of(last) == task
@@ -175,9 +175,10 @@ def test_a_new_run_builds_its_networks_as_those_it_begins_with():
     own = task_of(checkpoint.shipped("flat"))
     assert found.learning.network == own.learning.network
     assert found.learning.hidden_sizes == own.learning.hidden_sizes
-    assert found.rewards.scale == own.rewards.scale  # the critic's unit
-    kept = {name: getattr(plain.learning, name) for name in ("network", "hidden_sizes", "activation")}
-    assert replace(found, learning=replace(found.learning, **kept), rewards=plain.rewards) == plain
+    assert found.learning.reward_scale == own.learning.reward_scale == 0.1  # the critic's unit
+    names = ("network", "hidden_sizes", "activation", "reward_scale")
+    kept = {name: getattr(plain.learning, name) for name in names}
+    assert replace(found, learning=replace(found.learning, **kept)) == plain
 
 
 def test_physics_gets_the_cores_and_learning_all_threads(pattern: PatternNetwork, monkeypatch: pytest.MonkeyPatch):
@@ -283,3 +284,18 @@ def test_learning_lengthens_episodes(tmp_path: Path):
     rewards = [event.value for event in log.Scalars("Train/mean_reward")]
     assert sum(lengths[-5:]) > 1.15 * sum(lengths[2:7])
     assert sum(rewards[-5:]) > 1.15 * sum(rewards[2:7])
+
+
+def test_networks_that_see_something_else_are_refused(run: Path, tmp_path: Path):
+    """As many numbers in another order would go unnoticed; both layouts are named."""
+    content = checkpoint.read(run)
+    blocks = content["observations"]
+    assert sum(size for _, size in blocks) == 192
+    place = [name for name, _ in blocks].index("pitch")
+    blocks[place], blocks[place + 1] = blocks[place + 1], blocks[place]
+    swapped = tmp_path / "swapped.pt"
+    checkpoint.save(content, swapped)
+    with pytest.raises(UserError, match=r"see other observations: the checkpoint's 192 numbers, in another order"):
+        train(small_task(), options(tmp_path / "second", start_from=swapped))
+    with pytest.raises(UserError, match="see other observations"):
+        train(small_task(), options(tmp_path / "third", resume=swapped, max_iterations=3))

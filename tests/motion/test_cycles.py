@@ -21,7 +21,8 @@ from aicpg_newton.motion.cycles import (
 )
 from aicpg_newton.motion.retarget import flat_soles, retarget
 from aicpg_newton.robot import rotations
-from aicpg_newton.robot.humanoid import joint_index, mirror_joints
+from aicpg_newton.robot.humanoid import joint_index
+from aicpg_newton.robot.mirror import JOINTS
 
 RIGHT_HIP, LEFT_HIP, KNEE = (joint_index(name) for name in ("right_hip_y", "left_hip_y", "right_knee"))
 
@@ -73,7 +74,7 @@ def test_the_cycle_is_closed_symmetric_and_aligned(subject):
     """Phase convention, half-stride mirror symmetry, speed in metres scaled by the legs."""
     motion = synthetic(subject, 0.93, 2.9)
     cycle = gait_cycle(motion, "walk")
-    torch.testing.assert_close(mirror_joints(cycle.angles).roll(PHASES // 2, 0), cycle.angles, atol=1e-5, rtol=0)
+    torch.testing.assert_close(JOINTS(cycle.angles).roll(PHASES // 2, 0), cycle.angles, atol=1e-5, rtol=0)
     flexion = (cycle.angles[:, LEFT_HIP] - cycle.angles[:, RIGHT_HIP]).double().unsqueeze(-1)
     _, cosine, sine = fourier_series(flexion, 1).squeeze(-1).tolist()
     assert sine == pytest.approx(math.radians(50), rel=0.02)

@@ -15,8 +15,9 @@ from aicpg_newton.gait.cpg import (
 )
 from aicpg_newton.motion.cycles import GaitCycle
 from aicpg_newton.motion.fit import fit_pattern_network
-from aicpg_newton.robot.humanoid import NUM_JOINTS, joint_index, mirror_joints
+from aicpg_newton.robot.humanoid import NUM_JOINTS, joint_index
 from aicpg_newton.robot.kinematics import skeleton
+from aicpg_newton.robot.mirror import JOINTS
 
 ROOT = ((0.0, 0.0, 0.85, 0.0, 0.0, 0.0), (0.0,) * 6, (0.0,) * 6)
 
@@ -47,7 +48,7 @@ def test_a_fit_tells_the_gaits_apart_and_is_mirror_symmetric_between_them():
         hip = network(rhythm_window(*samples(gait.frequency)))[:, joint_index("right_hip_y")]
         assert hip.min().item() == pytest.approx(-0.2 - swing, abs=0.05)
     window = rhythm_window(*samples(1.1))
-    torch.testing.assert_close(network(-window), mirror_joints(network(window)), atol=1e-5, rtol=0)
+    torch.testing.assert_close(network(-window), JOINTS(network(window)), atol=1e-5, rtol=0)
 
 
 def test_the_fit_error_is_that_of_the_angles():
@@ -107,7 +108,7 @@ def test_shipped_gaits(shipped):
 def test_shipped_motion_at_every_frequency(shipped, frequency):
     """Symmetric, aligned, within the joint ranges, swinging as far as a walk at least, and smooth."""
     angles = shipped(rhythm_window(*samples(frequency)))
-    torch.testing.assert_close(mirror_joints(angles).roll(128, 0), angles, atol=1e-4, rtol=0)
+    torch.testing.assert_close(JOINTS(angles).roll(128, 0), angles, atol=1e-4, rtol=0)
     low, high = skeleton().ranges.T
     assert (torch.maximum(low - angles, angles - high)).max() < math.radians(3)
     flexion = angles[:, joint_index("left_hip_y")] - angles[:, joint_index("right_hip_y")]

@@ -10,14 +10,14 @@ import torch
 from PIL import Image
 
 from aicpg_newton.env.environment import Environment, engine_for
-from aicpg_newton.env.methods import with_method
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.training import RunOptions, train
-from aicpg_newton.playing import play as module
-from aicpg_newton.playing.play import PlayOptions, play
+from aicpg_newton.playing import outputs, sources
+from aicpg_newton.playing.options import PlayOptions
+from aicpg_newton.playing.play import play
 from aicpg_newton.playing.rollout import Tally, kinematic_frames, physical_frames
 from aicpg_newton.viewing.filmstrip import TILE_HEIGHT
 from tasks import get_task
@@ -25,7 +25,7 @@ from tasks import get_task
 
 def small(name: str, method: str = "ai-cpg") -> Task:
     """A task with a small network, and with a small piece of ground where that is uneven."""
-    task = with_method(get_task(name), method)
+    task = get_task(name, method)
     task.learning.hidden_sizes = (16,)
     task.ground.length, task.ground.width = 24.0, 16.0
     return task
@@ -45,7 +45,7 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[Task]:
         tasks.append(task)
         return engine_for(task, *arguments)
 
-    monkeypatch.setattr(module, "engine_for", noted)
+    monkeypatch.setattr(sources, "engine_for", noted)
     return tasks
 
 
@@ -109,18 +109,18 @@ def test_the_slider_turns_the_frequency(puppet, pattern: PatternNetwork):
     task = get_task("flat")
     environment = Environment(task, puppet(2), pattern)
     environment.restart(torch.tensor([0.9, 1.3]))
-    slider = module._slider(environment)
+    slider = sources.slider_for(environment)
     assert (slider.value, slider.minimum, slider.maximum) == (0.9, 0.7, 1.5)
-    tally = Tally(environment.frequency)
+    tally = Tally(environment.commands.frequency)
     frames = physical_frames(environment, lambda observed: observed.new_zeros(len(observed), 28), 130, tally)
     seen = []
-    for step, frame in enumerate(module._turned(frames, environment, slider)):
+    for step, frame in enumerate(sources.turned(frames, environment, slider)):
         seen.append(frame.frequency.tolist())
         if step == 9:
             slider.move(1.25)
-    assert seen[:10] == [pytest.approx([0.9, 1.3])] * 10
-    assert seen[10] == pytest.approx([0.9 + 0.25 / 60, 1.3 - 0.25 / 60])
-    assert seen[69] == pytest.approx([1.15, 1.25], abs=1e-4)
+    assert seen[:11] == [pytest.approx([0.9, 1.3])] * 11  # a command is obeyed when the coming step is over
+    assert seen[11] == pytest.approx([0.9 + 0.25 / 60, 1.3 - 0.25 / 60])
+    assert seen[70] == pytest.approx([1.15, 1.25], abs=1e-4)
     assert seen[-1] == pytest.approx([1.25, 1.25])
     assert tally.frequency.tolist() == pytest.approx([0.9, 1.3])
 
@@ -149,12 +149,10 @@ def test_a_live_viewer_runs_until_it_is_interrupted(monkeypatch: pytest.MonkeyPa
             if self.steps == 3:
                 raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "LiveViewer", Watcher)
+    monkeypatch.setattr(outputs, "LiveViewer", Watcher)
     options = PlayOptions(agent="zero", num_envs=3, viewer="viser", device="cpu")
-    assert module._check(options) == 3600 * 60
-    assert (
-        module._check(replace(options, viewer="none")) == module._check(replace(options, record=Path("a.mp4"))) == 600
-    )
+    assert options.steps() == 3600 * 60
+    assert replace(options, viewer="none").steps() == replace(options, record=Path("a.mp4")).steps() == 600
     assert play(options, get_task("flat")).steps == 3
     printed = capsys.readouterr().out
     assert "turned by hand" in printed and "speed [m/s]" in printed

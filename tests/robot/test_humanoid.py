@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from aicpg_newton.errors import UserError
-from aicpg_newton.robot import humanoid, kinematics, rotations
+from aicpg_newton.robot import humanoid, kinematics, mirror, rotations
 from aicpg_newton.robot.humanoid import JOINT_NAMES, LINK_NAMES, joint_index
 
 STANDING = (torch.tensor([0.0, 0.0, 0.8815]), torch.tensor([0.0, 0.0, 0.0, 1.0]), torch.zeros(28))
@@ -40,8 +40,8 @@ def test_mirroring_a_pose_mirrors_every_link():
     angles = 0.5 * torch.randn(20, 28, generator=torch.Generator().manual_seed(1))
     position, rotation = torch.zeros(20, 3), torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(20, 4)
     links, turns = kinematics.forward_kinematics(position, rotation, angles)
-    mirrored, mirrored_turns = kinematics.forward_kinematics(position, rotation, humanoid.mirror_joints(angles))
-    swap = list(humanoid.LINK_MIRROR_PERMUTATION)
+    mirrored, mirrored_turns = kinematics.forward_kinematics(position, rotation, mirror.JOINTS(angles))
+    swap = list(mirror.LINKS)
     assert torch.allclose(mirrored, links[:, swap] * torch.tensor([1.0, -1.0, 1.0]), atol=1e-6)
     # A reflection in y keeps the y component of a rotation's axis and turns the others around.
     expected = turns[:, swap] * torch.tensor([-1.0, 1.0, -1.0, 1.0])
@@ -52,14 +52,14 @@ def test_mirroring_a_pose_mirrors_every_link():
 def test_mirroring_twice_is_the_identity():
     """The mirror map is an involution."""
     angles = torch.randn(5, 28)
-    assert torch.equal(humanoid.mirror_joints(humanoid.mirror_joints(angles)), angles)
+    assert torch.equal(mirror.JOINTS(mirror.JOINTS(angles)), angles)
 
 
 def test_joint_ranges_are_mirror_images():
     """Left and right ranges agree after reflection."""
     ranges = kinematics.skeleton().ranges
-    lower, upper = humanoid.mirror_joints(ranges[:, 0]), humanoid.mirror_joints(ranges[:, 1])
-    flipped = torch.tensor(humanoid.MIRROR_SIGN) < 0
+    lower, upper = mirror.JOINTS(ranges[:, 0]), mirror.JOINTS(ranges[:, 1])
+    flipped = torch.tensor(mirror.JOINTS.sign) < 0
     assert torch.allclose(torch.where(flipped, upper, lower), ranges[:, 0])
     assert torch.allclose(torch.where(flipped, lower, upper), ranges[:, 1])
 

@@ -14,7 +14,7 @@ from aicpg_newton.errors import UserError
 from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import NUM_JOINTS, joint_index
 from aicpg_newton.robot.kinematics import sole_corners
-from aicpg_newton.viewing import FilmstripRow, Recorder, Stage, save_filmstrip
+from aicpg_newton.viewing import FilmstripRow, Stage, VideoWriter, save_filmstrip
 from aicpg_newton.viewing.camera import Photographer, Studio, facing, parallel_rays
 from aicpg_newton.viewing.filmstrip import LABEL_WIDTH, TILE_HEIGHT, TILE_WIDTH
 from aicpg_newton.viewing.stage import LANE_WIDTH, Floor, Tracker
@@ -92,9 +92,9 @@ def studio_picture(robot_pose, *, terrain=None, whole=False, width=320, height=1
 def test_recording_can_be_played(tmp_path):
     """60 control steps become 30 frames of one second at 30 Hz, in the size asked for, and no other file is left."""
     path = tmp_path / "walk.mp4"
-    with Recorder(path, width=320, height=180) as recorder:
+    with VideoWriter(path, width=320, height=180) as video:
         for step in range(60):
-            recorder.add(*pose(x=step / 60))
+            video.add(*pose(x=step / 60))
         assert not path.exists()
     facts, frames = frames_of(path)
     assert facts["size"] == (320, 180) and facts["fps"] == 30.0 and facts["codec"] == "h264"
@@ -106,9 +106,9 @@ def test_recording_can_be_played(tmp_path):
 def test_camera_follows_the_robot_over_the_floor(tmp_path):
     """A robot at 3 m/s stays in the middle of the picture while the floor moves on."""
     path = tmp_path / "run.mp4"
-    with Recorder(path, width=320, height=180) as recorder:
+    with VideoWriter(path, width=320, height=180) as video:
         for step in range(90):
-            recorder.add(*pose(x=3.0 * step / 60))
+            video.add(*pose(x=3.0 * step / 60))
     _, frames = frames_of(path)
     for frame in frames:
         robot = right_pixels(frame) | left_pixels(frame)
@@ -122,9 +122,9 @@ def test_camera_follows_the_robot_over_the_floor(tmp_path):
 def test_reset_cuts_instead_of_panning(tmp_path):
     """A robot that is put back to the start is in the middle of the very next frame."""
     path = tmp_path / "reset.mp4"
-    with Recorder(path, width=320, height=180) as recorder:
+    with VideoWriter(path, width=320, height=180) as video:
         for step in range(20):
-            recorder.add(*pose(x=20.0 if step < 10 else 0.0))
+            video.add(*pose(x=20.0 if step < 10 else 0.0))
     _, frames = frames_of(path)
     for frame in frames:
         assert abs(columns(right_pixels(frame)).mean() - 160) < 32
@@ -133,8 +133,8 @@ def test_reset_cuts_instead_of_panning(tmp_path):
 def test_whole_robot_is_large_in_the_picture(tmp_path):
     """Head and feet are inside the picture, and the robot fills more than half of its height."""
     path = tmp_path / "stand.mp4"
-    with Recorder(path, width=320, height=180) as recorder:
-        recorder.add(*pose())
+    with VideoWriter(path, width=320, height=180) as video:
+        video.add(*pose())
     _, frames = frames_of(path)
     changed = np.abs(frames[0].astype(int) - frames[0][:, :1].astype(int)).max(axis=2)[:, 140:180] > 25
     above_floor = np.nonzero(changed[:60])[0]
@@ -198,10 +198,10 @@ def test_pose_that_is_not_finite_holds_the_last_one():
 def test_recording_survives_a_blow_up(tmp_path):
     """Not-finite poses from the first step on leave a recording with the robot in it."""
     path = tmp_path / "nan.mp4"
-    with Recorder(path, width=320, height=180) as recorder:
+    with VideoWriter(path, width=320, height=180) as video:
         for _ in range(4):
             position, rotation, joints = pose()
-            recorder.add(position * math.nan, rotation, joints * math.nan)
+            video.add(position * math.nan, rotation, joints * math.nan)
     _, frames = frames_of(path)
     assert len(frames) == 2
     assert abs(columns(right_pixels(frames[1])).mean() - 160) < 32
@@ -289,11 +289,11 @@ def test_camera_follows_the_robot_over_hills(tmp_path):
     terrain = terrain_of(2.0, feature=6.0)
     path = tmp_path / "hills.mp4"
     heights = []
-    with Recorder(path, terrain=terrain, width=320, height=180) as recorder:
+    with VideoWriter(path, terrain=terrain, width=320, height=180) as video:
         for step in range(60):
             robot_pose = on(terrain, pose(), x=11.0 + 7.0 * step / 60)
             heights.append(float(robot_pose[0][0, 2]))
-            recorder.add(*robot_pose)
+            video.add(*robot_pose)
     assert max(heights) - min(heights) > 0.5
     _, frames = frames_of(path)
     for frame in frames:
@@ -319,8 +319,8 @@ def test_aborted_recording_leaves_no_file(tmp_path):
     """A recording left by an exception does not look complete, and does not replace an older one."""
     path = tmp_path / "walk.mp4"
     path.write_bytes(b"older")
-    with pytest.raises(KeyError), Recorder(path, width=64, height=64) as recorder:
-        recorder.add(*pose())
+    with pytest.raises(KeyError), VideoWriter(path, width=64, height=64) as video:
+        video.add(*pose())
         raise KeyError
     assert path.read_bytes() == b"older"
     assert [file.name for file in tmp_path.iterdir()] == ["walk.mp4"]
@@ -331,8 +331,8 @@ def test_caption_is_in_the_picture(tmp_path):
     pictures = []
     for name, caption in (("with", "f = 0.90 Hz   1.35 m/s   t = 3.2 s"), ("without", "")):
         path = tmp_path / f"{name}.mp4"
-        with Recorder(path) as recorder:
-            recorder.add(*pose(), caption=caption)
+        with VideoWriter(path) as video:
+            video.add(*pose(), caption=caption)
         pictures.append(frames_of(path)[1][0].astype(int))
     darker = (pictures[1] - pictures[0]).max(axis=2) > 60
     assert darker[:40, :320].sum() > 200
@@ -344,16 +344,16 @@ def test_bad_recording_path(tmp_path, name):
     """A path that cannot be written is refused before any work."""
     (tmp_path / "folder.mp4").mkdir()
     with pytest.raises(UserError, match="cannot write"):
-        Recorder(tmp_path / name)
+        VideoWriter(tmp_path / name)
 
 
 def test_bad_recording_settings(tmp_path):
     """Odd sizes, no robots and empty recordings are refused."""
     with pytest.raises(UserError, match="even"):
-        Recorder(tmp_path / "a.mp4", width=641)
+        VideoWriter(tmp_path / "a.mp4", width=641)
     with pytest.raises(UserError, match="robots"):
-        Recorder(tmp_path / "a.mp4", num_robots=0)
-    with pytest.raises(UserError, match="nothing was added"), Recorder(tmp_path / "a.mp4"):
+        VideoWriter(tmp_path / "a.mp4", num_robots=0)
+    with pytest.raises(UserError, match="nothing was added"), VideoWriter(tmp_path / "a.mp4"):
         pass
     assert not list(tmp_path.iterdir())
 

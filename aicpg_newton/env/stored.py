@@ -1,0 +1,139 @@
+"""Settings of a task as plain data, for checkpoints and ``config.yaml``, and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from typing import Any, Literal, TypeVar
+
+from aicpg_newton.env.rewards import RewardTerm
+from aicpg_newton.errors import UserError
+
+_Settings = TypeVar("_Settings")
+
+_CODE = ("function", "observations")
+"""Fields that hold code: a task's own file gives them."""
+
+
+def to_dict(settings: Any) -> dict[str, Any]:
+    """Nested dictionary of numbers, texts and tuples; functions are left out."""
+    return {
+        each.name: _content(getattr(settings, each.name))
+        for each in dataclasses.fields(settings)
+        if each.name not in _CODE
+    }
+
+
+def _content(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return to_dict(value)
+    return {key: _content(each) for key, each in value.items()} if isinstance(value, dict) else value
+
+
+def plain(value: Any) -> Any:
+    """The same with lists in the place of tuples, for YAML."""
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    return [plain(each) for each in value] if isinstance(value, (list, tuple)) else value
+
+
+def updated(settings: _Settings, content: Any, source: str) -> _Settings:
+    """Settings with the values of :func:`to_dict`; those that it does not hold stay as they are.
+
+    Args:
+        settings: A task, or a part of one.
+        content: Nested dictionary.
+        source: Where it comes from, for messages.
+
+    Raises:
+        UserError: A setting is unknown, or has the wrong kind of value.
+    """
+    hints = typing.get_type_hints(type(settings))
+    names = {each.name for each in dataclasses.fields(settings)} - set(_CODE)  # type: ignore[arg-type]
+    _refuse_unknown(content, names, type(settings).__name__, source)
+    values = {}
+    for name, value in content.items():
+        own, hint = getattr(settings, name), hints[name]
+        if dataclasses.is_dataclass(own):
+            value = updated(own, value, source)
+        elif isinstance(own, dict):
+            value = _updated_entries(own, value, name, source)
+        elif typing.get_origin(hint) is tuple:
+            value = tuple(value)
+        elif typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
+            raise UserError(f"{source} holds {value!r} for {name}; it should be one of {typing.get_args(hint)}")
+        elif hint in (int, float, bool, str):
+            _check_kind(hint, value, name, source)
+        values[name] = value
+    return dataclasses.replace(settings, **values)  # type: ignore[type-var]
+
+
+def _updated_entries(own: dict[str, Any], content: Any, title: str, source: str) -> dict[str, Any]:
+    """Entries of a dictionary: reward terms by name, or the parameters of one."""
+    _refuse_unknown(content, set(own), title, source)
+    values = dict(own)
+    for name, value in content.items():
+        if isinstance(own[name], RewardTerm):
+            values[name] = updated(own[name], value, source)
+        else:
+            _check_kind(type(own[name]), value, name, source)
+            values[name] = value
+    return values
+
+
+def _check_kind(kind: type, value: Any, name: str, source: str) -> None:
+    if not isinstance(value, (int, float) if kind is float else kind):
+        raise UserError(f"{source} holds {value!r} for {name}; it should be of type {kind.__name__}")
+
+
+def _refuse_unknown(content: Any, names: set[str], title: str, source: str) -> None:
+    if isinstance(content, dict) and set(content) <= names:
+        return
+    different = ", ".join(sorted(set(content) - names)) if isinstance(content, dict) else "no settings"
+    raise UserError(
+        f"{source} holds settings of another version ({title}: {different}); use the version of the code that wrote it"
+    )
+
+
+def brought_up_to_date(content: dict[str, Any]) -> dict[str, Any]:
+    """Content as an earlier version of this package wrote it, in today's words.
+
+    Learning settings that were not settings once take what was done then; a reward term has its weight and parameters
+    beside it; settings of other methods, which every task used to have, are left out.
+    """
+    content = dict(content)
+    learning = dict(content.get("learning") or {})
+    if "adaptive_learning_rate" in learning:  # the schedule's name until there were three
+        learning["learning_rate_schedule"] = "minibatch" if learning.pop("adaptive_learning_rate") else "fixed"
+    rewards = content.get("rewards")
+    if isinstance(rewards, dict) and "weights" in rewards:
+        learning["reward_scale"] = rewards["scale"]
+        terms = {_RENAMED.get(name, name): {"weight": weight} for name, weight in rewards["weights"].items()}
+        terms["pattern_tracking"]["parameters"] = {
+            "bound": rewards["pattern_error_bound"],
+            "reading": rewards["pattern_error"],
+        }
+        for name, method in _TERM_OF.items():
+            if method != content.get("method", "ai-cpg"):
+                terms.pop(name, None)
+        for name, methods in _SETTINGS_OF.items():
+            if content.get("method", "ai-cpg") not in methods:
+                content.pop(name, None)
+        content["rewards"] = terms
+    if isinstance(content.get("learning"), dict):
+        content["learning"] = {**_BEFORE, **learning}
+    return content
+
+
+_BEFORE = {
+    "value_clipping": True,
+    "network": "mlp",
+    "learning_rate_schedule": "minibatch",
+    "minimum_learning_rate": 1e-5,
+    "maximum_learning_rate": 1e-2,
+}
+"""Learning settings that were not settings once, with what was done then."""
+
+_RENAMED = {"reflex_energy": "action_energy"}
+_TERM_OF = {"pattern_tracking": "ai-cpg", "target_speed": "ppo"}
+_SETTINGS_OF = {"reflex": ("ai-cpg", "ppo"), "target_speed": ("ppo",), "reference": ("amp",), "imitation": ("amp",)}

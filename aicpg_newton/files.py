@@ -1,0 +1,78 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import TracebackType
+
+from aicpg_newton.errors import UserError
+
+
+class WholeFile:
+    """A file that is written under another name beside its own, and takes its own when it is complete.
+
+    A context manager: an exception within leaves the file as it was. It is on the disk when it gets its name, so a
+    machine that stops then holds the old file or the new one.
+
+    Args:
+        path: The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.temporary = path.with_name(path.name + ".partial")
+        """What is to be written to."""
+
+    def keep(self) -> None:
+        """Give the file its name.
+
+        Raises:
+            UserError: The disk does not take it.
+        """
+        try:
+            _to_disk(self.temporary)
+            os.replace(self.temporary, self.path)
+            _to_disk(self.path.parent)
+        except OSError as error:
+            self.drop()
+            raise self._sorry(error) from error
+
+    def drop(self) -> None:
+        """Remove what was written."""
+        self.temporary.unlink(missing_ok=True)
+
+    def _sorry(self, error: OSError) -> UserError:
+        return UserError(f"cannot write {self.path} ({error.strerror or error}); make room or choose another place")
+
+    def __enter__(self) -> Path:
+        return self.temporary
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.keep()
+            return
+        self.drop()
+        if isinstance(error, OSError):
+            raise self._sorry(error) from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file.
+
+    Raises:
+        UserError: The disk does not take it.
+    """
+    with WholeFile(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,67 @@
+"""What play.py can be told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from aicpg_newton.errors import UserError
+from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
+from aicpg_newton.viewing import LIVE_KINDS
+from aicpg_newton.viewing.output import writable_path
+
+_DURATION, _LIVE_DURATION = 10.0, 3600.0
+"""Simulated time when none is given [s]."""
+
+
+@dataclass(kw_only=True)
+class PlayOptions:
+    """What to play and where to see it."""
+
+    checkpoint: Path | None = None
+    """Trained network: a model_*.pt or a run folder; the one that ships for the task when not given."""
+    task: str | None = None
+    """Task to play on, flat or uneven; by default the checkpoint's own, and flat without a checkpoint."""
+    terrain_seed: int | None = None
+    """Seed of uneven ground; 1000 when not given, which no training takes by itself."""
+    frequency: tuple[float, ...] = ()
+    """Stride frequencies f [Hz], 0.9, 1.1 and 1.3 when not given; the environments are shared out evenly among them."""
+    num_envs: int = 12
+    """Number of environments."""
+    duration: float | None = None
+    """Simulated time [s]; when not given 10, and in a live viewer an hour, which Ctrl-C ends."""
+    agent: Literal["policy", "zero", "random", "mocap"] = "policy"
+    """policy: the trained network; zero: the CPG alone; random: noise on it; mocap: the gait on a plane, no physics."""
+    viewer: Literal["viser", "gl", "rerun", "usd", "none"] = "none"
+    """Live viewer; viser and gl have a slider for the stride frequency of all robots; usd writes play.usd."""
+    record: Path | None = None
+    """Write an mp4 of the first environment."""
+    filmstrip: Path | None = None
+    """Write a PNG of one stride per frequency, in eight poses; of one second where no frequency sets the stride."""
+    device: str = "auto"
+    """auto, cpu or cuda:N."""
+    engine: str = "auto"
+    """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
+    seed: int = 0
+    """Seed of start states and of the random agent."""
+
+    def steps(self) -> int:
+        """Number of control steps, once all options make sense.
+
+        Raises:
+            UserError: One does not, or a file cannot be written.
+        """
+        if not all(math.isfinite(f) and f > 0 for f in self.frequency):
+            raise UserError(f"--frequency is {self.frequency}; give positive numbers in Hz")
+        duration = self.duration
+        if duration is None:
+            watched = self.viewer in LIVE_KINDS and self.record is None and self.filmstrip is None
+            duration = _LIVE_DURATION if watched else _DURATION
+        if not (math.isfinite(duration) and duration >= CONTROL_DT):
+            raise UserError(f"--duration is {duration}; give a positive number of seconds")
+        for path, suffix in ((self.filmstrip, ".png"), (self.record, ".mp4")):
+            if path is not None:
+                writable_path(path, suffix)
+        return round(duration * CONTROL_RATE)
