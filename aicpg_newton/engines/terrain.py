@@ -1,4 +1,4 @@
-"""Uneven ground: a triangle mesh of random heights, the same for every engine, and the height at any point of it.
+"""Uneven ground: a triangle mesh over a grid, the same for every engine, and the height at any point of it.
 
 The mesh stands on a grid of square cells. Each cell is cut into two triangles along the diagonal from its corner with
 the smallest x and y to the opposite one, which is how MuJoCo and Newton cut their height fields.
@@ -6,6 +6,7 @@ the smallest x and y to the opposite one, which is how MuJoCo and Newton cut the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,8 @@ class Ground:
 
     height_range: float = 0.0
     """Height of the highest above the lowest point [m]; 0 is an endless plane, the paper's terrain has 0.1."""
+    shape: str = "random"
+    """random: straight lines between random heights."""
     cell: float = 0.25
     """Spacing of the mesh's vertices [m]."""
     feature: float = 0.5
@@ -48,6 +51,8 @@ class Ground:
         """
         if not 0.0 <= self.height_range < float("inf"):
             raise UserError(f"ground.height_range is {self.height_range}; give a height in metres, 0 for a plane")
+        if self.shape not in SHAPES:
+            raise UserError(f"ground.shape is {self.shape!r}; choose one of: {', '.join(SHAPES)}")
         if not 0.0 < self.cell <= self.feature <= 4 * EDGE:
             raise UserError(
                 f"ground.cell is {self.cell} and ground.feature {self.feature};"
@@ -72,6 +77,28 @@ class Ground:
         return replace(self, seed=seed, levels=1)
 
 
+def random_heights(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Random heights ``ground.feature`` apart, with straight lines between them (paper, Sec. III-C).
+
+    Args:
+        ground: Settings.
+        x: Positions of the mesh's vertices along x, from 0 [m].
+        y: The same across, from 0 [m].
+
+    Returns:
+        Surface over the vertices, shape [len(x), len(y)]; of any height, which is brought to the range asked for.
+    """
+    lattice = [int(np.ceil(axis[-1] / ground.feature)) + 1 for axis in (x, y)]
+    random = np.random.default_rng(ground.seed).random(lattice)
+    knots = [np.arange(count) * ground.feature for count in lattice]
+    along_x = np.stack([np.interp(x, knots[0], column) for column in random.T], axis=1)
+    return np.stack([np.interp(y, knots[1], row) for row in along_x])
+
+
+SHAPES: dict[str, Callable[[Ground, np.ndarray, np.ndarray], np.ndarray]] = {"random": random_heights}
+"""Kinds of uneven ground: functions with the arguments and the result of :func:`random_heights`."""
+
+
 @dataclass(frozen=True)
 class Terrain:
     """Heights of the mesh's vertices and what follows from them. World frame; x runs from 0, y is centred."""
@@ -92,11 +119,7 @@ class Terrain:
             return None
         cells = [round(extent / ground.cell) for extent in (ground.length, ground.width)]
         x, y = (np.arange(count + 1) * ground.cell for count in cells)
-        lattice = [int(np.ceil(axis[-1] / ground.feature)) + 1 for axis in (x, y)]
-        random = np.random.default_rng(ground.seed).random(lattice)
-        knots = [np.arange(count) * ground.feature for count in lattice]
-        along_x = np.stack([np.interp(x, knots[0], column) for column in random.T], axis=1)
-        surface = np.stack([np.interp(y, knots[1], row) for row in along_x])
+        surface = SHAPES[ground.shape](ground, x, y)
         surface = (surface - surface.min()) / np.ptp(surface) - 0.5
         strip = np.minimum(y / (y[-1] / ground.levels), ground.levels - 1).astype(int)
         heights = ground.height_range * surface * (strip + 1) / ground.levels

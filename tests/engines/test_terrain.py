@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from aicpg_newton.engines.terrain import EDGE, Ground, Terrain
+from aicpg_newton.engines.terrain import EDGE, SHAPES, Ground, Terrain
 from aicpg_newton.errors import UserError
 
 GROUND = Ground(height_range=0.1, length=10.0, width=9.0)
@@ -173,3 +173,13 @@ def test_unseen_ground_has_other_heights_of_the_full_range() -> None:
     """Whatever the curriculum: all else stays."""
     ground = Ground(height_range=0.1, length=24.0, width=16.0, levels=2, seed=3)
     assert ground.unseen(1001) == Ground(height_range=0.1, length=24.0, width=16.0, levels=1, seed=1001)
+
+
+def test_a_new_kind_of_ground_is_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the table under its name; range, levels and everything that asks for heights come with it."""
+    monkeypatch.setitem(SHAPES, "waves", lambda ground, x, y: np.sin(x)[:, None] + 0.0 * y)
+    waves = make(Ground(height_range=0.3, shape="waves", length=20.0, width=9.0))
+    x = torch.tensor([[0.5 * np.pi, 0.0], [1.5 * np.pi, 2.0]])
+    assert waves.height(x).tolist() == pytest.approx([0.15, -0.15], abs=3e-3)
+    with pytest.raises(UserError, match=r"ground\.shape is 'dunes'; choose one of: random, waves"):
+        Ground(shape="dunes").validate()
