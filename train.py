@@ -24,7 +24,7 @@ class Arguments(Generic[_Settings]):
     """Train the reflex network of AI-CPG, or a baseline, by PPO, on a GPU if there is one."""
 
     task: str
-    """flat or uneven; its settings are the defaults of the options below."""
+    """flat, uneven or robust; its settings are the defaults of the options below."""
     method: str
     """ai-cpg, ppo or amp: how the humanoid is controlled and learns; changes some of those defaults. See --target-speed
     for ppo and --reference for amp."""

@@ -10,9 +10,10 @@ from aicpg_newton.env.stored import brought_up_to_date, updated
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from tasks.flat import flat
+from tasks.robust import robust
 from tasks.uneven import uneven
 
-TASKS: dict[str, Callable[[], Task]] = {"flat": flat, "uneven": uneven}
+TASKS: dict[str, Callable[[], Task]] = {"flat": flat, "uneven": uneven, "robust": robust}
 
 
 def get_task(name: str, method: str = DEFAULT_METHOD) -> Task:

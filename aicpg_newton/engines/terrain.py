@@ -39,7 +39,9 @@ class Ground:
     """Extent along y [m]."""
     levels: int = 1
     """Strips side by side with heights from 1/levels of the range to all of it; robots that last move on to the next,
-    others go back by one. 1 is no such curriculum."""
+    and from the last to any of them, others go back by one. 1 is no such curriculum."""
+    level_strip: bool = False
+    """Make the first strip level; the others then rise from 1/(levels - 1) of the range."""
     seed: int = 0
     """Seed of the heights."""
 
@@ -58,6 +60,10 @@ class Ground:
                 f"ground.cell is {self.cell} and ground.feature {self.feature};"
                 f" give lengths of more than 0 and at most {4 * EDGE} m, the feature no smaller than the cell"
             )
+        if not self.uneven and (self.levels > 1 or self.level_strip):
+            raise UserError(f"ground.levels is {self.levels}, but ground.height_range is 0; give the strips a height")
+        if self.level_strip and self.levels < 2:
+            raise UserError("ground.level_strip takes one of ground.levels, which is 1; give at least 2")
         if self.levels < 1 or self.seed < 0:
             raise UserError(f"ground.levels is {self.levels} and ground.seed {self.seed}; give at least 1 and 0")
         least = 4 * EDGE
@@ -74,7 +80,7 @@ class Ground:
 
     def unseen(self, seed: int) -> Ground:
         """This ground with the heights of another seed, of the full range everywhere: levels are for training."""
-        return replace(self, seed=seed, levels=1)
+        return replace(self, seed=seed, levels=1, level_strip=False)
 
 
 def random_heights(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -122,7 +128,8 @@ class Terrain:
         surface = SHAPES[ground.shape](ground, x, y)
         surface = (surface - surface.min()) / np.ptp(surface) - 0.5
         strip = np.minimum(y / (y[-1] / ground.levels), ground.levels - 1).astype(int)
-        heights = ground.height_range * surface * (strip + 1) / ground.levels
+        strip = strip / (ground.levels - 1) if ground.level_strip else (strip + 1) / ground.levels
+        heights = ground.height_range * surface * strip
         return cls(ground, torch.from_numpy(heights).float())
 
     def to(self, device: torch.device | str) -> Terrain:

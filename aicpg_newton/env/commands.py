@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import torch
 
+from aicpg_newton.robot.humanoid import CONTROL_DT
+
 
 @dataclass(frozen=True)
 class Commands:
@@ -20,3 +22,44 @@ class Commands:
     """Yaw of the target direction in the world [rad]."""
     speed: torch.Tensor | None = None
     """Speed to reach [m/s]; None where none is told."""
+
+
+class FrequencyChanges:
+    """Stride frequencies that go to other values at random times, for training.
+
+    Args:
+        lowest: Least stride frequency [Hz].
+        highest: Greatest stride frequency [Hz].
+        interval: Mean time from one change to the next [s]; times are drawn from an exponential distribution.
+        rate: Greatest rate of a change [Hz/s]; each is drawn between a fifth of it and all.
+        jumps: Share of the changes that happen at once.
+        generator: Random numbers, on the device of the robots.
+    """
+
+    def __init__(
+        self, lowest: float, highest: float, *, interval: float, rate: float, jumps: float, generator: torch.Generator
+    ) -> None:
+        self._lowest, self._span = lowest, highest - lowest
+        self._due, self._rate, self._jumps = CONTROL_DT / interval, rate, jumps
+        self._generator = generator
+        self._target: torch.Tensor | None = None
+        self._step = torch.zeros(())
+
+    def next(self, frequency: torch.Tensor, begun: torch.Tensor) -> torch.Tensor:
+        """Stride frequencies of the next step [Hz].
+
+        Args:
+            frequency: Those of this step [Hz], shape [num_envs].
+            begun: Robots whose episode has just begun and that keep their frequency for now, bool, shape [num_envs].
+        """
+        chance, where, how_fast, at_once = torch.rand(
+            4, len(frequency), generator=self._generator, device=frequency.device
+        )
+        if self._target is None:
+            self._target, self._step = frequency, torch.zeros_like(frequency)
+        due = (chance < self._due) & ~begun
+        rate = self._rate * (0.2 + 0.8 * how_fast)
+        step = torch.where(at_once < self._jumps, self._span, CONTROL_DT * rate)
+        self._target = torch.where(begun, frequency, torch.where(due, self._lowest + self._span * where, self._target))
+        self._step = torch.where(due, step, self._step)
+        return frequency + (self._target - frequency).clamp(-self._step, self._step)

@@ -10,7 +10,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
 from aicpg_newton.engines import BodyState, Engine, RobotState, make_engine
-from aicpg_newton.env.commands import Commands
+from aicpg_newton.env.commands import Commands, FrequencyChanges
 from aicpg_newton.env.methods import get_method
 from aicpg_newton.env.observations import observe
 from aicpg_newton.env.stored import to_dict
@@ -75,6 +75,19 @@ class Environment(VecEnv):
         self.commands = task.commands(n, self.device)
         """What the robots are told; :meth:`command` changes it."""
         self._commands_to_come: Commands | None = None
+        self._own_frequency = self.commands.frequency
+        """Stride frequency that each robot begins an episode with [Hz], shape [num_envs]."""
+        changes = task.frequencies
+        self._changes = None
+        if changes.change_interval > 0.0:
+            self._changes = FrequencyChanges(
+                changes.minimum,
+                changes.maximum,
+                interval=changes.change_interval,
+                rate=changes.change_rate,
+                jumps=changes.jumps,
+                generator=self._generator,
+            )
         self.phase = zeros.clone()
         self.level = torch.zeros(n, dtype=torch.long, device=self.device)
         """Level of the terrain that each robot starts its next episode on, shape [num_envs]."""
@@ -115,10 +128,13 @@ class Environment(VecEnv):
         self.episode_length_buf += 1
 
         self.outcome = self._judge()
-        self._obey()
         reward = torch.stack(list(self.outcome.reward_terms.values())).sum(dim=0)
         failed = self.outcome.fallen | self.outcome.off_course
         dones = failed | self.outcome.timed_out
+        if self._changes is not None:
+            now = torch.where(dones, self._own_frequency, self.commands.frequency)
+            self.command(frequency=self._changes.next(now, dones))
+        self._obey()
         self._episode_steps += 1
         self._move_between_levels(failed, self.outcome.timed_out)
         extras = {"time_outs": self.outcome.timed_out, "log": self._log(dones)}
@@ -193,11 +209,15 @@ class Environment(VecEnv):
     def _move_between_levels(self, failed: torch.Tensor, lasted: torch.Tensor) -> None:
         """Curriculum: robots that lasted half an episode or more go on to rougher ground, robots that failed go back.
 
-        A robot may come to the edge early, and the runner begins with episodes that are nearly over.
+        Those that lasted on the roughest begin anywhere, so that none is forgotten. A robot may come to the edge early,
+        and the runner begins with episodes that are nearly over.
         """
+        levels = self.task.ground.levels
+        if levels == 1:
+            return
         long = self._episode_steps >= 0.5 * self.max_episode_length
-        step = (lasted & long).long() - failed.long()
-        self.level = (self.level + step).clamp(0, self.task.ground.levels - 1)
+        level = self.level + (lasted & long).long() - failed.long()
+        self.level = torch.where(level < levels, level.clamp_min(0), self._uniform(0.0, levels).long())
 
     def _log(self, dones: torch.Tensor) -> dict[str, torch.Tensor]:
         """Episode means of the reward terms where an episode ended, and the speed of the slow and the fast third."""
@@ -212,11 +232,12 @@ class Environment(VecEnv):
             log["Episode_End/fallen"] = self.outcome.fallen[dones].float().mean()
             log["Episode_End/off_course"] = self.outcome.off_course[dones].float().mean()
         speed = torch.nan_to_num(self.outcome.state.root_linear_velocity[:, 0])
-        third = max(1, self.num_envs // 3)
         if self.task.ground.levels > 1:
             log["Curriculum/level"] = self.level.float().mean()
-        log["Speed/lowest_third_of_f"] = speed[:third].mean()
-        log["Speed/highest_third_of_f"] = speed[-third:].mean()
+        frequency, third = self.outcome.commands.frequency, max(1, self.num_envs // 3)
+        by_frequency = speed[frequency.argsort(stable=True)]
+        log["Speed/lowest_third_of_f"] = by_frequency[:third].mean()
+        log["Speed/highest_third_of_f"] = by_frequency[-third:].mean()
         return log
 
     def get_observations(self) -> TensorDict:
@@ -233,6 +254,7 @@ class Environment(VecEnv):
     def restart(self, frequency: torch.Tensor) -> None:
         """Start new episodes in all environments, at these stride frequencies [Hz], shape [num_envs]."""
         self.commands, self._commands_to_come = replace(self.commands, frequency=frequency), None
+        self._own_frequency = frequency
         self.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
 
     @torch.no_grad()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import torch
 import tyro
@@ -20,6 +20,7 @@ from aicpg_newton.env.observations import Block
 from aicpg_newton.env.rewards import RewardTerm, common_terms
 from aicpg_newton.env.view import View
 from aicpg_newton.errors import UserError
+from aicpg_newton.robot.humanoid import CONTROL_RATE
 
 Schedule = Literal["iteration", "minibatch", "fixed"]
 """When the learning rate is adapted to the KL divergence."""
@@ -27,12 +28,40 @@ Schedule = Literal["iteration", "minibatch", "fixed"]
 
 @dataclass(kw_only=True)
 class Frequencies:
-    """Stride frequencies f, spread evenly over the environments; each keeps its own."""
+    """Stride frequencies f, spread evenly over the environments; each begins every episode at its own."""
 
     minimum: float = 0.8
     """Lowest f [Hz] (paper, Sec. III-A)."""
     maximum: float = 1.4
     """Highest f [Hz] (paper, Sec. III-A)."""
+    change_interval: float = 0.0
+    """Mean time after which f goes to another value, anywhere in the range [s]; 0 keeps it as it is (the paper)."""
+    change_rate: float = 0.25
+    """How fast it goes there at most [Hz/s]; the rate is drawn anew for each change, between a fifth of it and all."""
+    jumps: float = 0.0
+    """Share of the changes that happen at once."""
+
+    def validate(self) -> None:
+        """Refuse what cannot be.
+
+        Raises:
+            UserError: A number is out of its range.
+        """
+        if not 0 < self.minimum <= self.maximum:
+            raise UserError(
+                f"frequencies run from {self.minimum} to {self.maximum} Hz; give a positive minimum no larger than the"
+                " maximum"
+            )
+        if self.change_interval < 0.0:
+            raise UserError(f"frequencies.change_interval is {self.change_interval}; give a time, or 0 for no changes")
+        if not 0.0 <= self.jumps <= 1.0:
+            raise UserError(f"frequencies.jumps is {self.jumps}; give a share from 0 to 1")
+        fastest = (self.maximum - self.minimum) * CONTROL_RATE
+        if self.change_interval > 0.0 and not 0.0 < self.change_rate < fastest:
+            raise UserError(
+                f"frequencies.change_rate is {self.change_rate} Hz/s; give a positive rate that does not cross the"
+                f" whole range in one step ({fastest:g}), and frequencies.jumps for changes at once"
+            )
 
 
 @dataclass(kw_only=True)
@@ -77,6 +106,20 @@ class Pushes:
     """Duration of a push [s]."""
     interval: float = 1.0
     """Time from push to push [s]."""
+
+    def validate(self) -> None:
+        """Refuse what cannot be.
+
+        Raises:
+            UserError: A push has no force, or goes on when the next one begins.
+        """
+        if self.force == 0.0 and replace(self, force=0.0) != Pushes():
+            raise UserError("pushes.duration and pushes.interval change nothing where pushes.force is 0; give a force")
+        if self.force != 0.0 and self.duration > self.interval:
+            raise UserError(
+                f"pushes.duration is {self.duration} and pushes.interval {self.interval}; a push has to end before the"
+                " next one"
+            )
 
 
 @dataclass(kw_only=True)
@@ -237,6 +280,10 @@ class Task:
         span = self.frequencies.maximum - self.frequencies.minimum
         return Commands(frequency=self.frequencies.minimum + span * share, heading=torch.zeros(num_envs, device=device))
 
+    def undisturbed(self) -> Self:
+        """The same task where nobody pushes and f stays as it is told: for tests and play."""
+        return replace(self, pushes=Pushes(), frequencies=replace(self.frequencies, change_interval=0.0))
+
     def validate(self) -> None:
         """Refuse settings that cannot be run.
 
@@ -252,13 +299,10 @@ class Task:
         self.physics.validate()
         self.ground.validate()
         self.learning.validate()
+        self.frequencies.validate()
+        self.pushes.validate()
         for name, term in self.rewards.items():
             term.validate(f"rewards.{name}")
-        if not 0 < self.frequencies.minimum <= self.frequencies.maximum:
-            raise UserError(
-                f"frequencies run from {self.frequencies.minimum} to {self.frequencies.maximum} Hz;"
-                " give a positive minimum no larger than the maximum"
-            )
         if not 0.0 <= self.resets.minimum_speed <= self.resets.maximum_speed:
             raise UserError(
                 f"start speeds run from {self.resets.minimum_speed} to {self.resets.maximum_speed} of the gait's own;"

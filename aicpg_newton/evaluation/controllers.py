@@ -105,5 +105,5 @@ def trained(path: Path, task: Task | None = None) -> Controller:
 def ground_of(task: Task, terrain_seeds: tuple[int, ...]) -> dict[str, Any] | None:
     """What the results say of the ground; None for a plane."""
     ground = asdict(task.ground)
-    del ground["seed"], ground["levels"]
+    del ground["seed"], ground["levels"], ground["level_strip"]
     return {**ground, "terrain_seeds": list(terrain_seeds)} if task.ground.uneven else None

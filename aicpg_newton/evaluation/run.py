@@ -93,7 +93,7 @@ class Laboratory:
             content: Content of the checkpoint; None for no reflexes.
             terrain_seed: Seed of the ground, unless that is a plane.
         """
-        task = on_terrain(controller.task, terrain_seed)
+        task = on_terrain(controller.task.undisturbed(), terrain_seed)
         task.pushes = protocol.pushes()
         task.termination.episode_steps = protocol.steps + 1
         environment = Environment(task, self.engine_of(task), controller.pattern, seed=self.seed)

@@ -144,8 +144,14 @@ class PatternNetwork(nn.Module):
         return now, (soon - now) / CONTROL_DT
 
     def nominal_speed(self, frequency: torch.Tensor) -> torch.Tensor:
-        """Forward speed [m/s] on the line through the gaits' speeds, never below zero, shape [...]."""
-        return self._between_gaits(frequency, torch.tensor([gait.speed for gait in self.gaits])).clamp_min(0.0)
+        """Forward speed [m/s] that goes with a stride frequency [Hz], shape [...].
+
+        On the line through the gaits' speeds from the slowest on; below, at the slowest one's length of stride, as the
+        angles that S gives there swing nearly as far: the line would come to a standstill at 0.64 Hz.
+        """
+        slowest = self.gaits[0]
+        line = self._between_gaits(frequency, torch.tensor([gait.speed for gait in self.gaits]))
+        return torch.where(frequency < slowest.frequency, frequency * (slowest.speed / slowest.frequency), line)
 
     def root_motion(self, phase: torch.Tensor, frequency: torch.Tensor) -> torch.Tensor:
         """Pelvis motion over a stride at any frequency, from the gaits' Fourier series.

@@ -23,7 +23,7 @@ class PlayOptions:
     checkpoint: Path | None = None
     """Trained network: a model_*.pt or a run folder; the one that ships for the task when not given."""
     task: str | None = None
-    """Task to play on, flat or uneven; by default the checkpoint's own, and flat without a checkpoint."""
+    """Task to play on, flat, uneven or robust; by default the checkpoint's own, and flat without a checkpoint."""
     terrain_seed: int | None = None
     """Seed of uneven ground; 1000 when not given, which no training takes by itself."""
     frequency: tuple[float, ...] = ()

@@ -139,7 +139,8 @@ def _physical(options: PlayOptions, basis: Basis, steps: int, agent_of: Callable
         raise UserError(f"--frequency does nothing to a network trained as {title}; leave it out")
     # Of a network that no frequency sets it is the clock of the filmstrip alone.
     frequencies = _shared_out((1.0,) if title else options.frequency or FREQUENCIES, options.num_envs)
-    task = replace(basis.task, termination=replace(basis.task.termination, episode_steps=steps + 1))
+    task = basis.task.undisturbed()
+    task = replace(task, termination=replace(task.termination, episode_steps=steps + 1))
     device = resolve_device(options.device)
     engine = engine_for(task, options.engine, options.num_envs, device)
     environment = Environment(task, engine, basis.pattern, seed=options.seed)

@@ -106,6 +106,14 @@ def test_levels_rise_strip_by_strip() -> None:
     assert (spans <= share + 1e-6).all() and (spans > 0.95 * share).all(), spans
 
 
+def test_the_first_strip_may_be_level() -> None:
+    """The others have equal steps from nothing to all of the range."""
+    heights = make(Ground(height_range=0.3, length=60.0, width=32.0, levels=4, level_strip=True)).heights
+    strips = [heights[:, 32 * level : 32 * (level + 1)] for level in range(4)]
+    spans = [float(strip.amax() - strip.amin()) for strip in strips]
+    assert spans == pytest.approx([0.0, 0.1, 0.2, 0.3], abs=0.015)
+
+
 @pytest.mark.parametrize("levels", [1, 3])
 def test_robots_start_in_their_strip(levels: int) -> None:
     """Away from the border, in the first half, and wherever they may go on."""

@@ -8,6 +8,7 @@ import torch
 from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.env.actuation import PatternActuation
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.task import Frequencies
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
 from aicpg_newton.gait.poses import gait_pose
@@ -311,7 +312,49 @@ def test_the_curriculum_moves_robots_that_last_to_rougher_ground(on_hills: Envir
     on_hills.episode_length_buf[0] = on_hills.max_episode_length
     on_hills._episode_steps[0] = 0.5 * on_hills.max_episode_length
     on_hills.step(rest(on_hills))
-    assert on_hills.level[:2].tolist() == [1, 0]
+    assert on_hills.level[1] == 0
+    on_hills.level[:] = 1
+    on_hills._episode_steps[:] = 0.5 * on_hills.max_episode_length
+    on_hills.episode_length_buf[:] = on_hills.max_episode_length
+    position[:, 2] = 1.0
+    on_hills.step(rest(on_hills))
+    assert 5 < on_hills.level.sum() < 35  # those that lasted on the roughest begin anywhere
+
+
+def test_frequencies_change_at_random_times(puppet, pattern: PatternNetwork):
+    """By no more than the rate, with some jumps, over the whole range; a new episode begins at the robot's own."""
+    task = get_task("flat")
+    task.frequencies = Frequencies(minimum=0.6, maximum=1.4, change_interval=1.0, change_rate=0.3, jumps=0.25)
+    environment = Environment(task, puppet(200), pattern, seed=1)
+    own = environment.commands.frequency.clone()
+    told = [own]
+    for step in range(300):
+        if step == 200:
+            environment.episode_length_buf[:100] = environment.max_episode_length
+        environment.step(torch.zeros(200, 28))
+        assert torch.equal(environment.outcome.commands.frequency, told[-1])
+        told.append(environment.commands.frequency)
+    assert torch.equal(told[201][:100], own[:100])
+    change = torch.diff(torch.stack(told[:201]), dim=0)
+    slow = change.abs() <= 0.3 / 60 + 1e-6
+    assert 0.15 * 200 * 200 / 60 < (~slow).sum() < 0.35 * 200 * 200 / 60  # a quarter of a change a second
+    assert change.amin() < -0.3 and change.amax() > 0.3 and (change[slow] > 0.8 * 0.3 / 60).any()
+    last = torch.stack(told)[200]
+    assert 0.6 <= last.amin() < 0.65 and 1.35 < last.amax() <= 1.4 + 1e-6
+    assert abs(float(torch.corrcoef(torch.stack((own, last)))[0, 1])) < 0.4
+
+
+def test_undisturbed_frequencies_stay(puppet, pattern: PatternNetwork):
+    """For tests and play: nobody pushes and f is what it is told."""
+    task = get_task("robust").undisturbed()
+    task.ground = Ground()
+    task.validate()
+    environment = Environment(task, puppet(4), pattern)
+    before = environment.commands.frequency.clone()
+    for _ in range(50):
+        environment.step(torch.zeros(4, 28))
+    assert torch.equal(environment.commands.frequency, before)
+    assert environment.engine.calls[-1]["push"] is None  # type: ignore[attr-defined]
 
 
 def test_pushes(puppet, pattern: PatternNetwork):

@@ -43,6 +43,11 @@ def test_unknown_task():
         ("rewards.pattern_tracking.parameters.bound", 0.0, "rewards.pattern_tracking.bound is 0.0"),
         ("rewards.pattern_tracking.parameters.reading", "mean", "rewards.pattern_tracking.reading is 'mean'"),
         ("reflex.torque_share", 0.0, "reflex.torque_share is 0.0"),
+        ("frequencies.change_interval", -1.0, "frequencies.change_interval is -1.0"),
+        ("frequencies.jumps", 1.5, "frequencies.jumps is 1.5"),
+        ("pushes.interval", 2.0, "where pushes.force is 0"),
+        ("ground.levels", 3, "ground.levels is 3, but ground.height_range is 0"),
+        ("ground.level_strip", True, "give the strips a height"),
         ("physics.substeps", 3, "physics.substeps is 3"),
         ("physics.iterations", 0, "physics.iterations is 0"),
         ("learning.minibatches", 0, "learning.minibatches is 0"),
@@ -69,6 +74,22 @@ def test_bad_settings_are_named(path: str, value: object, message: str):
     else:
         setattr(owner, last, value)
     with pytest.raises(UserError, match=message):
+        task.validate()
+
+
+def test_changes_that_cannot_be_are_refused():
+    """A ramp that crosses the range in a step, strips without one to be level, pushes without an end."""
+    task = get_task("robust")
+    task.frequencies.change_rate = 60.0
+    with pytest.raises(UserError, match=r"change_rate is 60.0 Hz/s; .* in one step \(48\)"):
+        task.validate()
+    task = get_task("robust")
+    task.ground.levels = 1
+    with pytest.raises(UserError, match=r"ground.level_strip takes one of ground.levels, which is 1"):
+        task.validate()
+    task = get_task("robust")
+    task.pushes.duration = 3.0
+    with pytest.raises(UserError, match=r"a push has to end before the next one"):
         task.validate()
 
 

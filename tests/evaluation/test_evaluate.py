@@ -117,7 +117,7 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path: Path):
     """Two evaluations with one seed agree to the last digit, another seed does not."""
     texts = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        laboratory = Laboratory(3, device="cpu", seed=seed)
+        laboratory = Laboratory(12, device="cpu", seed=seed)
         evaluate([short("sweep")], [cpg_alone(get_task("flat"), 0)], laboratory, tmp_path / name)  # type: ignore[list-item]
         texts.append((tmp_path / name / "sweep.csv").read_text())
     assert texts[0] == texts[1] != texts[2]
