@@ -36,7 +36,9 @@ class EvaluateOptions:
     """auto, cpu or cuda:N."""
     num_envs: int = 64
     """Number of environments, shared out evenly among the frequencies."""
-    protocol: Literal["sweep", "disturbance", "transition", "speed", "terrain", "training", "all"] = "all"
+    protocol: Literal[
+        "sweep", "disturbance", "transition", "slowing", "up_and_down", "speed", "terrain", "training", "all"
+    ] = "all"
     """What to do. speed runs the sweep first where there is none; training needs run folders, terrain uneven ground;
     all: all that the ground and the controllers allow, but training."""
     terrain_seed: tuple[int, ...] = ()

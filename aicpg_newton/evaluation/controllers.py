@@ -13,7 +13,7 @@ from aicpg_newton.env.methods import condition, get_method, on_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.evaluation import metrics
 from aicpg_newton.evaluation.protocols import PROTOCOLS
-from aicpg_newton.evaluation.summaries import TRANSITION_FROUDE
+from aicpg_newton.evaluation.transition_summaries import TRANSITION_FROUDE
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.policy import Trained

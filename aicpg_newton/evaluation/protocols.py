@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -35,6 +35,8 @@ class Protocol:
     """Columns of the CSV file; ``reason`` says why a cell is empty."""
     ramp: float = 0.0
     """Rise of every stride frequency [Hz/s]."""
+    turns_back: bool = False
+    """Whether it falls again, as fast, from the middle of the time on."""
     push_force: float = 0.0
     """Largest force on the torso along each world axis [N]."""
     push_duration: float = 0.1
@@ -110,6 +112,12 @@ TRANSITION = Protocol(
 )
 """From walking to running with f(t) = 0.7 + 0.023 t (Fig. 4 and 6)."""
 
+SLOWING = replace(TRANSITION, name="slowing", frequencies=(1.39,), ramp=-TRANSITION.ramp)
+"""The same the other way: from running to walking."""
+
+UP_AND_DOWN = replace(TRANSITION, name="up_and_down", duration=60.0, ramp=0.7 / 30.0, turns_back=True)
+"""From 0.7 Hz to 1.4 Hz in 30 s, and back in 30 s: does the gait change at the same speed both ways?"""
+
 SPEED = Protocol(
     name="speed",
     duration=20.0,
@@ -145,5 +153,7 @@ TRAINING = Protocol(
 )
 """Where robots go that are controlled by the checkpoints of a training, from its first to its last (Fig. 5 a)."""
 
-PROTOCOLS = {protocol.name: protocol for protocol in (SWEEP, DISTURBANCE, TRANSITION, SPEED, TERRAIN, TRAINING)}
+_ALL = (SWEEP, DISTURBANCE, TRANSITION, SLOWING, UP_AND_DOWN, SPEED, TERRAIN, TRAINING)
+
+PROTOCOLS = {protocol.name: protocol for protocol in _ALL}
 """In the order in which they are run; ``speed`` needs the sweep."""

@@ -20,17 +20,19 @@ from aicpg_newton.engines import Engine
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
-from aicpg_newton.evaluation import metrics, results, summaries, terrain_summaries
+from aicpg_newton.evaluation import metrics, results, summaries, terrain_summaries, transition_summaries
 from aicpg_newton.evaluation.controllers import Controller, ground_of
 from aicpg_newton.evaluation.protocols import (
     DISTURBANCE,
     PROTOCOLS,
+    SLOWING,
     SPEED,
     SWEEP,
     TERRAIN,
     TERRAIN_SEEDS,
     TRAINING,
     TRANSITION,
+    UP_AND_DOWN,
     Protocol,
 )
 from aicpg_newton.evaluation.summaries import Source
@@ -289,7 +291,9 @@ def _one(
 _READINGS: dict[str, Callable[[Trajectories, torch.Tensor, Source], tuple[list[results.Row], dict[str, Any]]]] = {
     SWEEP.name: summaries.sweep_rows,
     DISTURBANCE.name: summaries.disturbance_rows,
-    TRANSITION.name: summaries.transition_rows,
+    TRANSITION.name: transition_summaries.transition_rows,
+    SLOWING.name: transition_summaries.slowing_rows,
+    UP_AND_DOWN.name: transition_summaries.up_and_down_rows,
     TERRAIN.name: terrain_summaries.terrain_rows,
     TRAINING.name: terrain_summaries.training_rows,
 }
@@ -304,7 +308,7 @@ def _definitions() -> dict[str, Any]:
         "least_denominator_of_symmetry_index_rad": metrics.SMALLEST_ANGLE,
         "steps_not_counted_after_a_start": WARM_UP,
         "fewest_counted_steps": SHORTEST,
-        "flight_threshold_in_a_window": summaries.FLIGHT_THRESHOLD,
+        "flight_threshold_in_a_window": transition_summaries.FLIGHT_THRESHOLD,
         "total_mass_kg": humanoid.TOTAL_MASS,
         "leg_length_m": humanoid.LEG_LENGTH,
         "points_along_and_across_a_sole": metrics.SOLE_GRID,

@@ -13,22 +13,7 @@ from aicpg_newton.evaluation import metrics
 from aicpg_newton.evaluation.protocols import SPEED
 from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.trajectories import SHORTEST, Trajectories, sole_clearance
-from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
-
-FLIGHT_THRESHOLD = 1.5 / 60
-"""A window of 60 steps with a larger flight phase ratio has flight: two steps, as one may be a chance of sampling."""
-
-TRANSITION_FROUDE = 0.5
-"""Froude number of the change of gait (paper, Sec. II-C.2)."""
-
-WINDOW = 60
-"""Steps of the windows of the transition test (paper, Sec. III-B)."""
-
-DIAGRAMS = {"walking": (2.0, 5.0), "running": (27.0, 30.0)}
-"""Times of the gait diagrams [s] (Fig. 4 d, e)."""
-
-POSES = 11
-"""Number of poses in the schematic (Fig. 4 c)."""
+from aicpg_newton.robot.humanoid import CONTROL_RATE
 
 
 @dataclass(frozen=True)
@@ -51,12 +36,12 @@ class Source:
         return {"method": self.method, "condition": self.condition, "frequency_hz": frequency, "seed": self.seed}
 
 
-def _mean(values: torch.Tensor) -> float:
+def mean(values: torch.Tensor) -> float:
     """Mean over the environments that have a value; NaN where none has."""
     return float(values[torch.isfinite(values)].mean())
 
 
-def _std(values: torch.Tensor) -> float:
+def std(values: torch.Tensor) -> float:
     """Standard deviation over the environments that have a value."""
     finite = values[torch.isfinite(values)]
     return float(finite.std(correction=0)) if len(finite) else math.nan
@@ -100,7 +85,7 @@ def sole_measures(trajectories: Trajectories) -> dict[str, torch.Tensor]:
 
 def steady_row(trajectories: Trajectories, frequency: float, source: Source) -> Row:
     """All that is read off one group in steady locomotion, in the columns of any protocol."""
-    measures = {name: _mean(values) for name, values in steady_measures(trajectories).items()}
+    measures = {name: mean(values) for name, values in steady_measures(trajectories).items()}
     speed = measures["speed_mps"]
     reasons = []
     if math.isnan(speed):
@@ -113,10 +98,10 @@ def steady_row(trajectories: Trajectories, frequency: float, source: Source) -> 
     return {
         **source.row(frequency),
         **measures,
-        **{name: _mean(values) for name, values in sole_measures(trajectories).items()},
+        **{name: mean(values) for name, values in sole_measures(trajectories).items()},
         "froude": float(metrics.froude_number(torch.tensor(speed))),
         "survived": float((~trajectories.fallen.any(dim=0)).float().mean()),
-        "falls_per_minute": _mean(metrics.falls_per_minute(trajectories.fallen)),
+        "falls_per_minute": mean(metrics.falls_per_minute(trajectories.fallen)),
         "reason": "; ".join(reasons),
     }
 
@@ -150,139 +135,11 @@ def disturbance_rows(
                 **source.row(frequency),
                 "iteration": source.iteration,
                 "speed_mps": float(speed),
-                "falls_per_minute": _mean(metrics.falls_per_minute(trajectories.fallen[:, mine])),
+                "falls_per_minute": mean(metrics.falls_per_minute(trajectories.fallen[:, mine])),
                 "reason": "no environment ever walked for more than a second" if math.isnan(float(speed)) else "",
             }
         )
     return rows, {}
-
-
-def transition_rows(
-    trajectories: Trajectories, frequencies: torch.Tensor, source: Source
-) -> tuple[list[Row], dict[str, Any]]:
-    """A row per control step over the environments in their first episode, and the changes of gait."""
-    settled = trajectories.settled
-    speed = metrics.moving_mean(trajectories.speed, settled, WINDOW)
-    flight = metrics.moving_mean((~trajectories.contact.any(dim=2)).float(), settled, WINDOW)
-    standing, upright = trajectories.standing, trajectories.fallen.cumsum(dim=0) == 0
-    shown = int(standing.sum(dim=0).argmax())  # the first of those that stay up longest
-    rows = []
-    for step in range(len(speed)):
-        mean_speed, reasons = _mean(speed[step]), []
-        if not standing[step].any():
-            reasons.append("every environment has fallen or left the terrain")
-        elif math.isnan(mean_speed):
-            reasons.append("no standing environment has a full window of one second around this step")
-        if not standing[step, shown]:
-            reasons.append("the environment of the gait diagram has fallen or left the terrain")
-        feet = trajectories.contact[step, shown].int().tolist() if standing[step, shown] else (None, None)
-        rows.append(
-            {
-                "method": source.method,
-                "seed": source.seed,
-                "time_s": (step + 1) * CONTROL_DT,
-                "frequency_hz": float(trajectories.frequency[step, shown]),
-                "speed_mps": mean_speed,
-                "speed_std_mps": _std(speed[step]),
-                "froude": float(metrics.froude_number(torch.tensor(mean_speed))),
-                "flight_ratio": _mean(flight[step]),
-                "flight_ratio_std": _std(flight[step]),
-                "standing": float(upright[step].float().mean()),
-                "right_contact": feet[0],
-                "left_contact": feet[1],
-                "reason": "; ".join(reasons),
-            }
-        )
-    summary = {
-        **gait_changes(trajectories, speed, flight),
-        "gait_diagrams": {name: _diagram(trajectories, shown, *times) for name, times in DIAGRAMS.items()},
-        "poses": _poses(trajectories, shown),
-    }
-    return rows, summary
-
-
-def gait_changes(trajectories: Trajectories, speed: torch.Tensor, flight: torch.Tensor) -> dict[str, Any]:
-    """Where the Froude number passes 0.5, where flight begins and where it becomes steady.
-
-    Each environment that got through is read off by itself; the summary is their mean and standard deviation. Flight
-    begins at the first window with flight, and is steady from the last window without.
-
-    Args:
-        trajectories: The transition test.
-        speed: Speed in a window around each step [m/s], shape [time, num_envs].
-        flight: Flight phase ratio in such windows, shape [time, num_envs].
-    """
-    whole = ~trajectories.ended.any(dim=0)
-    found: dict[str, list[float]] = {
-        name: []
-        for name in ("transition_speed_mps", "transition_frequency_hz", "flight_begins_hz", "flight_is_steady_hz")
-    }
-    for env in whole.nonzero().squeeze(1).tolist():
-        steps = torch.isfinite(speed[:, env])
-        if not steps.any():
-            continue
-        f, v = trajectories.frequency[steps, env], speed[steps, env]
-        flying = flight[steps, env] > FLIGHT_THRESHOLD
-        fast = metrics.froude_number(v) >= TRANSITION_FROUDE
-        if fast.any() and not fast[0]:
-            first = int(fast.long().argmax())
-            found["transition_speed_mps"].append(float(v[first]))
-            found["transition_frequency_hz"].append(float(f[first]))
-        if flying.any():
-            found["flight_begins_hz"].append(float(f[int(flying.long().argmax())]))
-        if flying[-1]:
-            without = (~flying).nonzero()
-            found["flight_is_steady_hz"].append(float(f[int(without[-1]) + 1 if len(without) else 0]))
-    reasons = {
-        "transition_speed_mps": "no speed passes a Froude number of 0.5",
-        "transition_frequency_hz": "no speed passes a Froude number of 0.5",
-        "flight_begins_hz": "no window of a second with flight",
-        "flight_is_steady_hz": "no flight in the last window",
-    }
-    count = int(whole.sum())
-    result: dict[str, Any] = {
-        "environments_that_never_fell": int((~trajectories.fallen.any(dim=0)).sum()),
-        "environments_that_got_through": count,
-        "environments": len(whole),
-    }
-    for name, values in found.items():
-        reason = "" if values else reasons[name] if count else "no environment got through the 30 s without a fall"
-        mean, std = (float(np.mean(values)), float(np.std(values))) if values else (None, None)
-        result[name] = {"mean": mean, "std": std, "environments": len(values), "reason": reason}
-    return result
-
-
-def _diagram(trajectories: Trajectories, env: int, start: float, end: float) -> dict[str, Any]:
-    """Strides of one environment in a stretch of time."""
-    chosen = slice(round(start * CONTROL_RATE), round(end * CONTROL_RATE))
-    contact, valid, joint_position = (
-        each[chosen, env : env + 1]
-        for each in (trajectories.contact, trajectories.standing, trajectories.joint_position)
-    )
-    period = metrics.stride_period(joint_position, valid)
-    measures = {
-        "stride_frequency_hz": CONTROL_RATE / float(period),
-        "duty_factor": float(metrics.duty_factor(contact, valid, period)),
-        "flight_ratio": float(metrics.flight_ratio(contact, valid, period)),
-    }
-    incomplete = any(math.isnan(value) for value in measures.values())
-    return {"from_s": start, "to_s": end, **measures, "reason": "no whole stride of both feet" if incomplete else ""}
-
-
-def _poses(trajectories: Trajectories, env: int) -> list[dict[str, Any]]:
-    """Poses of one environment at even times, for the schematic of Fig. 4 (c); none after its first episode."""
-    steps = np.linspace(WINDOW, len(trajectories.fallen) - 1, POSES).round().astype(int)
-    return [
-        {
-            "time_s": (int(step) + 1) * CONTROL_DT,
-            "frequency_hz": float(trajectories.frequency[step, env]),
-            "height_m": float(trajectories.root_position[step, env, 2] - trajectories.ground_height[step, env]),
-            "root_rotation": trajectories.root_rotation[step, env].tolist(),
-            "joint_position": trajectories.joint_position[step, env].tolist(),
-        }
-        for step in steps
-        if trajectories.standing[step, env]
-    ]
 
 
 def speeds_to_command(sweep: list[Row], source: Source, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -319,7 +176,7 @@ def speed_rows(
     for frequency, wanted, group in zip(
         frequencies.tolist(), speeds.tolist(), groups(trajectories, len(speeds)), strict=True
     ):
-        speed = _mean(steady_measures(group)["speed_mps"])
+        speed = mean(steady_measures(group)["speed_mps"])
         fell = math.isnan(speed)
         rows.append(
             {

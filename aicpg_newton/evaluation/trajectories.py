@@ -120,7 +120,7 @@ def record(
     age = torch.zeros(n, dtype=torch.long, device=device)
 
     def ramp(step: int) -> torch.Tensor:
-        return start + protocol.ramp * CONTROL_DT * step
+        return start + protocol.ramp * CONTROL_DT * (min(step, steps - step) if protocol.turns_back else step)
 
     environment.command(frequency=ramp(1))  # a command is obeyed when the step after it is over
     for step, frame in enumerate(physical_frames(environment, agent, steps, Tally(start))):

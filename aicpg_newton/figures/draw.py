@@ -23,9 +23,19 @@ from matplotlib.figure import Figure
 
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import results
-from aicpg_newton.evaluation.protocols import DISTURBANCE, PROTOCOLS, SPEED, SWEEP, TERRAIN, TRAINING, TRANSITION
+from aicpg_newton.evaluation.protocols import (
+    DISTURBANCE,
+    PROTOCOLS,
+    SPEED,
+    SWEEP,
+    TERRAIN,
+    TRAINING,
+    TRANSITION,
+    UP_AND_DOWN,
+)
 from aicpg_newton.evaluation.results import Row
-from aicpg_newton.evaluation.summaries import FLIGHT_THRESHOLD
+from aicpg_newton.evaluation.transition_summaries import FLIGHT_THRESHOLD
+from aicpg_newton.figures.hysteresis import hysteresis_figure
 from aicpg_newton.figures.plotting import (
     REFERENCE,
     draw_points,
@@ -57,7 +67,7 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
         UserError: There are no results, two folders hold the same training, or they are of different ground.
     """
     tables: dict[str, list[Row]] = {name: [] for name in PROTOCOLS}
-    details: dict[tuple[str, int], dict] = {}
+    details: dict[str, dict[tuple[str, int], dict]] = {name: {} for name in PROTOCOLS}
     grounds = []
     for name, rows in tables.items():
         seen: set[tuple] = set()
@@ -74,8 +84,7 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
             rows += new
             description = results.read_description(folder, name)
             grounds.append(next((each.get("ground") for each in description["controllers"]), None))
-            if name == TRANSITION.name:
-                details |= {(each["method"], each["seed"]): each for each in description["results"]}
+            details[name] |= {(each["method"], each["seed"]): each for each in description["results"]}
     if not any(tables.values()):
         raise UserError(f"no results in {', '.join(map(str, folders))}; run a protocol into that folder first")
     if any(ground != grounds[0] for ground in grounds):
@@ -85,7 +94,7 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
         paths.append(_save(_performance(tables[SWEEP.name], tables[DISTURBANCE.name]), out / "figure_3.png"))
     for method in methods(tables[TRANSITION.name]):
         mine = [row for row in tables[TRANSITION.name] if row["method"] == method]
-        found = [details[key] for key in details if key[0] == method]
+        found = [each for key, each in details[TRANSITION.name].items() if key[0] == method]
         paths.append(_save(transition_figure(method, mine, found), out / f"figure_4_{slug(method)}.png"))
     if tables[TRAINING.name]:
         paths.append(_save(trajectories_figure(tables[TRAINING.name]), out / "figure_5a.png"))
@@ -94,6 +103,9 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
     if tables[TRANSITION.name]:
         figure = speed_and_froude_figure(tables[TRANSITION.name], uneven=grounds[0] is not None)
         paths.append(_save(figure, out / "figure_6.png"))
+    if tables[UP_AND_DOWN.name]:
+        figure = hysteresis_figure(tables[UP_AND_DOWN.name], list(details[UP_AND_DOWN.name].values()))
+        paths.append(_save(figure, out / "up_and_down.png"))
     if tables[SPEED.name]:
         paths.append(_save(_commands(tables[SPEED.name]), out / "speed.png"))
     return paths

@@ -102,6 +102,27 @@ def over_seeds(rows: Iterable[Row], method: str, x: str, y: str) -> Points:
     return Points(table[0], table[1], table[2], table[3], table[4], len(seeds), curve)
 
 
+def curves_over_time(rows: list[Row]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Mean and deviation of every column over time: over seeds, or over the environments of a single seed."""
+    seeds = {row["seed"] for row in rows}
+    steps: dict[float, list[Row]] = {}
+    for row in rows:
+        steps.setdefault(row["time_s"], []).append(row)
+    ordered = [steps[time] for time in sorted(steps)]
+    inside = {"speed_mps": "speed_std_mps", "flight_ratio": "flight_ratio_std"}
+    curves = {}
+    for column in ("time_s", "frequency_hz", "speed_mps", "froude", "flight_ratio", "standing"):
+        means = np.array([mean(row[column] for row in each) for each in ordered])
+        if len(seeds) > 1:
+            spread = np.array([std(row[column] for row in each) for each in ordered])
+        elif column in inside:
+            spread = np.array([each[0][inside[column]] for each in ordered])
+        else:
+            spread = np.zeros(len(ordered))
+        curves[column] = (means, spread)
+    return curves
+
+
 def draw_points(axes: Axes, points: Points, style: Style, label: str) -> None:
     """A method's points with standard deviations over seeds, as in the paper.
 

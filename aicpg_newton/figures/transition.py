@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from aicpg_newton.evaluation.results import Row
-from aicpg_newton.evaluation.summaries import DIAGRAMS, POSES, TRANSITION_FROUDE
-from aicpg_newton.figures.plotting import REFERENCE, Style, mean, methods, say_if_empty, std
+from aicpg_newton.evaluation.transition_summaries import DIAGRAMS, POSES, TRANSITION_FROUDE
+from aicpg_newton.figures.plotting import REFERENCE, Style, curves_over_time, mean, methods, say_if_empty
 from aicpg_newton.motion.figure import draw_stick_figures
 from aicpg_newton.robot.humanoid import CONTROL_DT
 
@@ -35,7 +35,7 @@ def transition_figure(method: str, rows: list[Row], found: list[dict[str, Any]])
     figure = Figure(figsize=(12, 15), layout="constrained")
     grid = figure.add_gridspec(8, 2, height_ratios=(0.8, 1, 1, 1, 0.7, 0.5, 1.3, 0.8))
     style = next(iter(methods(rows).values()))
-    curves = _over_seeds(rows)
+    curves = curves_over_time(rows)
     signal = figure.add_subplot(grid[0, :])
     time, frequency = curves["time_s"][0], curves["frequency_hz"][0]
     phase = 2 * math.pi * np.cumsum(frequency * np.gradient(time))
@@ -85,7 +85,7 @@ def speed_and_froude_figure(rows: list[Row], uneven: bool) -> Figure:
     figure = Figure(figsize=(10, 6), layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True)
     for method, style in methods(rows).items():
-        curves = _over_seeds([row for row in rows if row["method"] == method])
+        curves = curves_over_time([row for row in rows if row["method"] == method])
         lasted = curves["standing"][0][-1]
         label = f"{method} ({lasted:.0%} never fell)" if math.isfinite(lasted) else method
         _draw_curve(top, curves, "speed_mps", style, label)
@@ -100,27 +100,6 @@ def speed_and_froude_figure(rows: list[Row], uneven: bool) -> Figure:
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small", loc="upper left")
     return figure
-
-
-def _over_seeds(rows: list[Row]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Mean and deviation of every column over time: over seeds, or over the environments of a single seed."""
-    seeds = {row["seed"] for row in rows}
-    steps: dict[float, list[Row]] = {}
-    for row in rows:
-        steps.setdefault(row["time_s"], []).append(row)
-    ordered = [steps[time] for time in sorted(steps)]
-    inside = {"speed_mps": "speed_std_mps", "flight_ratio": "flight_ratio_std"}
-    curves = {}
-    for column in ("time_s", "frequency_hz", "speed_mps", "froude", "flight_ratio", "standing"):
-        means = np.array([mean(row[column] for row in each) for each in ordered])
-        if len(seeds) > 1:
-            spread = np.array([std(row[column] for row in each) for each in ordered])
-        elif column in inside:
-            spread = np.array([each[0][inside[column]] for each in ordered])
-        else:
-            spread = np.zeros(len(ordered))
-        curves[column] = (means, spread)
-    return curves
 
 
 def _draw_curve(axes: Axes, curves: dict, column: str, style: Style, label: str) -> None:

@@ -57,7 +57,7 @@ def test_the_cpg_alone_with_all_protocols(tmp_path: Path, capsys: pytest.Capture
     out = tmp_path / "results"
     main(EvaluateOptions(agent="zero", num_envs=6, device="cpu", seed=2, out=out))
     assert not (out / "terrain.csv").exists() and not (out / "training.csv").exists()
-    for name in ("sweep", "disturbance", "transition", "speed"):
+    for name in ("sweep", "disturbance", "transition", "slowing", "up_and_down", "speed"):
         rows, content = results.read_table(out, name), results.read_description(out, name)
         assert rows and {row["method"] for row in rows} == {"CPG alone"}
         for row in rows:

@@ -1,7 +1,7 @@
 """Protocols run with a robot whose motion is known, and what is read off."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,16 +10,18 @@ import torch
 from aicpg_newton.engines import Physics, make_engine
 from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.env.environment import Environment
-from aicpg_newton.evaluation import summaries
+from aicpg_newton.evaluation import summaries, transition_summaries
 from aicpg_newton.evaluation.protocols import (
     DISTURBANCE,
     PROTOCOLS,
+    SLOWING,
     SPEED,
     SWEEP,
     TERRAIN,
     TERRAIN_SEEDS,
     TRAINING,
     TRANSITION,
+    UP_AND_DOWN,
     Protocol,
 )
 from aicpg_newton.evaluation.summaries import Source
@@ -145,7 +147,7 @@ def test_the_edge_of_the_terrain_ends_an_episode_without_a_fall(glider, pattern)
     row = summaries.sweep_rows(trajectories.among(torch.arange(9) == fast), torch.tensor([1.0]), SOURCE)[0][0]
     assert row["speed_mps"] == pytest.approx(5.0, rel=1e-3)
     assert (row["survived"], row["falls_per_minute"], row["reason"]) == (1.0, 0.0, "")
-    rows, summary = summaries.transition_rows(trajectories, torch.tensor([1.0]), SOURCE)
+    rows, summary = transition_summaries.transition_rows(trajectories, torch.tensor([1.0]), SOURCE)
     assert rows[-1]["standing"] == 1.0
     assert summary["environments_that_never_fell"] == 9 > summary["environments_that_got_through"]
     heights = [pose["height_m"] for pose in summary["poses"]]
@@ -171,7 +173,7 @@ def test_everything_falls_at_once(glider, pattern):
     tables = {
         "sweep": summaries.sweep_rows(trajectories, start, SOURCE),
         "disturbance": summaries.disturbance_rows(trajectories, start, SOURCE),
-        "transition": summaries.transition_rows(trajectories, start[:1], SOURCE),
+        "transition": transition_summaries.transition_rows(trajectories, start[:1], SOURCE),
         "speed": summaries.speed_rows(trajectories, start, np.array([1.0, 2.0, 3.0]), SOURCE),
     }
     tables["command again"] = summaries.no_speeds(SOURCE)
@@ -205,7 +207,7 @@ def test_a_transition_raises_the_frequency(glider, pattern):
     """f(t) = 0.7 + 0.023 t; windows of 60 steps; the diagram shows an environment's feet."""
     trajectories = run(replace(TRANSITION, duration=8.0), glider(2), pattern)
     assert trajectories.frequency[300].tolist() == pytest.approx([0.815, 0.815], abs=1e-4)
-    rows, summary = summaries.transition_rows(trajectories, torch.tensor([0.7]), SOURCE)
+    rows, summary = transition_summaries.transition_rows(trajectories, torch.tensor([0.7]), SOURCE)
     assert len(rows) == 480 and rows[-1]["time_s"] == pytest.approx(8.0)
     middle = rows[240]
     assert middle["speed_mps"] == pytest.approx(1.25, rel=1e-3)
@@ -224,24 +226,51 @@ def test_a_transition_raises_the_frequency(glider, pattern):
 def test_gait_changes_by_hand():
     """Fr passes 0.5 at 2.048 m/s; flight comes in windows 1000 to 1099 and from 1300 on."""
     ramp = (0.7 + 0.023 * torch.arange(1800) / 60).unsqueeze(1).repeat(1, 2)
-    nothing = torch.zeros(1800, 2)
-    given = ("frequency", "fallen", "ended")
-    others = {each.name: nothing for each in fields(Trajectories) if each.name not in given}
-    others = {**others, "terrain": None}
-    trajectories = Trajectories(frequency=ramp, fallen=nothing.bool(), ended=nothing.bool(), **others)
+    everyone = torch.ones(2, dtype=torch.bool)
     speed = torch.linspace(1.0, 4.0, 1800).unsqueeze(1).repeat(1, 2)
     flight = torch.zeros(1800, 2)
     flight[1000:1100] = 0.1
     flight[1300:] = 0.2
     speed[:60], flight[:60] = math.nan, math.nan
-    found = summaries.gait_changes(trajectories, speed, flight)
+    found = transition_summaries.gait_changes(ramp, speed, flight, everyone)
     assert found["transition_speed_mps"]["mean"] == pytest.approx(2.048, abs=2e-3)
     assert found["flight_begins_hz"]["mean"] == pytest.approx(0.7 + 0.023 * 1000 / 60, abs=1e-4)
     assert found["flight_is_steady_hz"]["mean"] == pytest.approx(0.7 + 0.023 * 1300 / 60, abs=1e-4)
     assert found["flight_begins_hz"]["environments"] == 2
     flight[-1] = 0.0
-    found = summaries.gait_changes(trajectories, torch.full_like(speed, 1.0), flight)
+    found = transition_summaries.gait_changes(ramp, torch.full_like(speed, 1.0), flight, everyone)
     assert found["flight_is_steady_hz"]["reason"] and found["transition_speed_mps"]["reason"]
+
+
+def test_up_and_down_again(glider, pattern):
+    """F rises and falls by the same way; each way is read off by itself, in the direction of rising frequency."""
+    protocol = replace(UP_AND_DOWN, duration=12.0)
+    trajectories = run(protocol, glider(2), pattern)
+    rate = 0.7 / 30.0
+    assert trajectories.frequency[240].tolist() == pytest.approx([0.7 + 4 * rate] * 2, abs=1e-4)
+    assert trajectories.frequency[[359, 361], 0].tolist() == pytest.approx([0.7 + rate * 359 / 60] * 2, abs=1e-4)
+    assert trajectories.frequency[-1, 0] == pytest.approx(0.7 + rate / 60, abs=1e-4)
+    # Speed that lags behind by a second, as if by inertia, passes 2.048 m/s later both ways.
+    time = torch.arange(720) / 60
+    lagging = 1.0 + 0.5 * torch.minimum(time - 1.0, 13.0 - time).clamp_min(0.0)
+    trajectories = replace(trajectories, speed=lagging.unsqueeze(1).repeat(1, 2))
+    rows, summary = transition_summaries.up_and_down_rows(trajectories, torch.tensor([0.7]), SOURCE)
+    assert len(rows) == 720
+    at = (2.048 - 1.0) / 0.5
+    assert summary["up"]["transition_frequency_hz"]["mean"] == pytest.approx(0.7 + rate * (at + 1.0), abs=2e-3)
+    assert summary["down"]["transition_frequency_hz"]["mean"] == pytest.approx(0.7 + rate * (at - 1.0), abs=2e-3)
+    assert summary["hysteresis_hz"] == pytest.approx(2 * rate, abs=2e-3)
+
+
+def test_from_running_to_walking(glider, pattern):
+    """The change of gait is where the speed falls below the Froude number, at that frequency."""
+    trajectories = run(replace(SLOWING, duration=12.0), glider(2), pattern)
+    assert trajectories.frequency[300].tolist() == pytest.approx([1.39 - 0.023 * 5.0] * 2, abs=1e-4)
+    falling = torch.linspace(4.0, 1.0, 720).unsqueeze(1).repeat(1, 2)
+    _, summary = transition_summaries.slowing_rows(replace(trajectories, speed=falling), torch.tensor([1.39]), SOURCE)
+    at = (4.0 - 2.048) / 3.0 * 12.0
+    assert summary["transition_frequency_hz"]["mean"] == pytest.approx(1.39 - 0.023 * at, abs=2e-3)
+    assert summary["environments_that_got_through"] == 2
 
 
 def test_a_speed_becomes_a_frequency_by_the_sweeps_curve():

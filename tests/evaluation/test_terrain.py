@@ -133,7 +133,7 @@ def test_terrain_is_part_of_everything_where_the_ground_is_uneven(
     monkeypatch.setattr(command_line, "evaluate", lambda protocols, *_: asked.extend(each.name for each in protocols))
     monkeypatch.setattr(command_line, "draw_all", lambda *_: [])
     main(EvaluateOptions(agent="zero", task=ground, device="cpu", out=tmp_path))
-    assert asked == ["sweep", "disturbance", "transition", "speed", *more]
+    assert asked == ["sweep", "disturbance", "transition", "slowing", "up_and_down", "speed", *more]
 
 
 @pytest.mark.parametrize("seed", [0, 1003])

@@ -86,11 +86,19 @@ def made_up(folder: Path, method: str, seeds: tuple[int, ...], fallen: bool = Fa
             numbers |= {"froude": v * v / 8.4, "flight_ratio": max(0.0, 0.02 * (t - 15)), "flight_ratio_std": 0.02}
             feet = {"right_contact": float(t % 1 < 0.4), "left_contact": float(0.5 < t % 1 < 0.9)}
             tables["transition"].append({"method": method, "seed": seed, **numbers, "standing": 1.0, **feet})
+        for step in range(0, 3600, 6):
+            t = (step + 1) / 60
+            f = 0.7 + 0.7 / 30 * min(t, 60 - t)
+            numbers = {"time_s": t, "frequency_hz": f, "speed_mps": 3 * f, "speed_std_mps": 0.1, "froude": f}
+            numbers |= {"flight_ratio": max(0.0, f - (1.0 if t < 30 else 0.9)), "flight_ratio_std": 0.02}
+            feet = {"right_contact": 1.0, "left_contact": 0.0}
+            tables["up_and_down"].append({"method": method, "seed": seed, **numbers, "standing": 1.0, **feet})
         pose = {"height_m": 0.88, "root_rotation": [0.0, 0.0, 0.0, 1.0], "joint_position": [0.0] * 28}
         changes = {name: {"mean": f} for name, f in (("transition_frequency_hz", 1.0), ("flight_begins_hz", 1.05))}
         found.append(
             {
                 **{"method": method, "seed": seed, **changes, "flight_is_steady_hz": {"mean": None}},
+                **{way: {"transition_frequency_hz": {"mean": f}} for way, f in (("up", 1.0), ("down", 0.95))},
                 "gait_diagrams": {
                     "walking": {"from_s": 2.0, "to_s": 5.0, **DIAGRAM},
                     "running": {"from_s": 27.0, "to_s": 30.0, **DIAGRAM},
@@ -107,6 +115,7 @@ def made_up(folder: Path, method: str, seeds: tuple[int, ...], fallen: bool = Fa
         for each in found:
             each["poses"] = []
             each.update({name: {"mean": None} for name in each if name.endswith("_hz")})
+            each["up"] = each["down"] = {"transition_frequency_hz": {"mean": None}}
             each["gait_diagrams"]["walking"]["reason"] = each["gait_diagrams"]["running"]["reason"] = "fell"
     folder.mkdir()
     for name, rows in tables.items():
@@ -114,7 +123,7 @@ def made_up(folder: Path, method: str, seeds: tuple[int, ...], fallen: bool = Fa
     return folder
 
 
-FIGURES = ["figure_3.png", "figure_5a.png", "figure_5b.png", "figure_6.png", "speed.png"]
+FIGURES = ["figure_3.png", "figure_5a.png", "figure_5b.png", "figure_6.png", "speed.png", "up_and_down.png"]
 
 
 def test_methods_and_seeds_share_the_panels(tmp_path: Path):
