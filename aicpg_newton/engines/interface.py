@@ -29,6 +29,10 @@ class Physics:
     max_constraints: int = 200
     """Constraint rows (joint limits, four per contact) that fit in one environment's buffer."""
 
+    capture: bool = True
+    """Record the kernels of a control step once and replay them, where they are Warp's (engine newton); off for
+    debugging, as then each is launched by itself."""
+
     @property
     def timestep(self) -> float:
         """Duration of a physics step [s]."""

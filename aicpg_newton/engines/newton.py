@@ -1,4 +1,4 @@
-"""Thousands of humanoids on NVIDIA Newton: MuJoCo-Warp dynamics, torch views of Warp arrays, a CUDA graph on a GPU."""
+"""Thousands of humanoids on NVIDIA Newton: MuJoCo-Warp dynamics, torch views of Warp arrays, one graph for a step."""
 
 from __future__ import annotations
 
@@ -71,12 +71,16 @@ class NewtonEngine:
         self._view_arrays()
         newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
         self._graph: wp.Graph | None = None
-        if self.device.type == "cuda":
+        if physics.capture:
             self._substeps()  # compiles every kernel before the capture
             with wp.ScopedCapture(device=self._wp_device) as capture:
                 self._substeps()
             self._graph = capture.graph
             self.solver.reset(self._states[0])
+            self._torque.zero_()
+            self._foot_wrench.zero_()
+            for array in (self._overflow_array, self._most):
+                array.zero_()
             newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
         self.state = self._read()
 
@@ -138,7 +142,7 @@ class NewtonEngine:
         self._position_gain = wp.to_torch(self.model.joint_target_ke).view(n, -1)[:, self._dofs].clone()
 
     def _substeps(self) -> None:
-        """All physics steps of a control step, in Warp only, so that a CUDA graph can hold them."""
+        """All physics steps of a control step, in Warp only, so that a graph can hold them, on a GPU and on a CPU."""
         self._foot_wrench_array.zero_()
         state_in, state_out = self._states
         for _ in range(self.physics.substeps):
