@@ -67,6 +67,11 @@ def resolve_learner_device(name: str | None, engine: str, device: torch.device) 
     return resolve_device(name)
 
 
+def reading_is_free(device: torch.device | str) -> bool:
+    """Whether a number on a device can be looked at without waiting for the device: on a CPU it can."""
+    return torch.device(device).type == "cpu"
+
+
 def finish(device: torch.device | str) -> None:
     """Wait until a device has done its work."""
     if torch.device(device).type == "cuda":

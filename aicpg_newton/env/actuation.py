@@ -20,7 +20,7 @@ from aicpg_newton.env.view import View
 from aicpg_newton.gait.cpg import PatternNetwork, pd_torque
 from aicpg_newton.gait.poses import gait_start
 from aicpg_newton.robot.humanoid import NUM_JOINTS, Motors
-from aicpg_newton.robot.kinematics import skeleton, sole_heights
+from aicpg_newton.robot.kinematics import skeleton_on, sole_heights
 
 _Task = TypeVar("_Task", bound=Task)
 
@@ -108,10 +108,10 @@ class TorqueActuation(Actuation[ReflexTask]):
         """See :meth:`Actuation.start`: standing still, feet on the ground, every joint a little off."""
         rows, device = len(phase), phase.device
         noise = 2.0 * torch.rand(rows, NUM_JOINTS, generator=self.generator, device=device) - 1.0
-        low, high = skeleton().ranges.to(noise).unbind(dim=1)
+        low, high = skeleton_on(device, noise.dtype).ranges.unbind(dim=1)
         angles = (self._START_ANGLE * noise).clamp(low, high)
         still = torch.zeros(rows, 3, device=device)
-        rotation = torch.tensor([0.0, 0.0, 0.0, 1.0], device=device).expand(rows, 4)
+        rotation = torch.cat((still, torch.ones(rows, 1, device=device)), dim=1)
         position = still.clone()
         position[:, 2] = -sole_heights(still, rotation, angles).amin(dim=1)
         return BodyState(position, rotation, still, still, angles, torch.zeros_like(angles))
@@ -149,7 +149,7 @@ class TargetActuation(Actuation[ImitationTask]):
         self, task: ImitationTask, pattern: PatternNetwork, motors: Motors, num_envs: int, generator: torch.Generator
     ) -> None:
         super().__init__(task, pattern, motors, num_envs, generator)
-        low, high = skeleton().ranges.to(self.torque).unbind(dim=1)
+        low, high = skeleton_on(self.torque.device, self.torque.dtype).ranges.unbind(dim=1)
         self._middle, self._reach = 0.5 * (low + high), self._REACH * (high - low)
         self._gait = pattern.gait(task.reference)
 

@@ -9,10 +9,12 @@ import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
-from aicpg_newton.engines import BodyState, Engine, RobotState, make_engine
+from aicpg_newton.device import reading_is_free
+from aicpg_newton.engines import Engine, RobotState, make_engine
 from aicpg_newton.env.commands import Commands, FrequencyChanges
 from aicpg_newton.env.methods import get_method
 from aicpg_newton.env.observations import observe
+from aicpg_newton.env.starts import Starts
 from aicpg_newton.env.stored import to_dict
 from aicpg_newton.env.style import StyleView
 from aicpg_newton.env.task import Task
@@ -20,7 +22,6 @@ from aicpg_newton.env.view import View
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
 from aicpg_newton.robot.humanoid import CONTROL_DT, NUM_JOINTS
-from aicpg_newton.robot.kinematics import sole_corners
 
 
 @dataclass
@@ -75,6 +76,7 @@ class Environment(VecEnv):
         self.commands = task.commands(n, self.device)
         """What the robots are told; :meth:`command` changes it."""
         self._commands_to_come: Commands | None = None
+        self._seen: View | None = None
         self._own_frequency = self.commands.frequency
         """Stride frequency that each robot begins an episode with [Hz], shape [num_envs]."""
         changes = task.frequencies
@@ -101,10 +103,13 @@ class Environment(VecEnv):
         self._terms = {name: (scale * term.weight, term) for name, term in task.rewards.items()}
         self._push = torch.zeros(n, 3, device=self.device)
         self._push_clock = self._uniform(0.0, max(task.pushes.interval, CONTROL_DT))
+        self._starts = Starts(task.resets, self.actuation, engine.terrain, self._generator)
+        self._sound = torch.ones((), dtype=torch.bool, device=self.device)
+        self._episode_means: dict[str, torch.Tensor] = {}
         # Not episode_length_buf: the runner starts that at random numbers to spread the first time-outs.
         self._episode_steps = zeros.clone()
         self._episode_rewards: dict[str, torch.Tensor] = {}
-        self.reset(torch.ones(n, dtype=torch.bool, device=self.device))
+        self.restart(self.commands.frequency)
 
     @torch.no_grad()
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
@@ -118,15 +123,16 @@ class Environment(VecEnv):
             :attr:`outcome`.
 
         Raises:
-            UserError: An action is not finite: the policy has diverged.
+            UserError: On a CPU, as :meth:`check`.
         """
-        if not torch.isfinite(actions).all():
-            raise UserError("the policy gave actions that are not finite; resume from an earlier checkpoint")
+        self._sound = self._sound & torch.isfinite(actions).all()
+        if reading_is_free(self.device):
+            self.check()
         self.engine.step(*self.actuation.command(actions, self.engine.state), push=self._pushes())
         self.phase = advance_phase(self.phase, self.commands.frequency)
         self.actuation.follow(self.phase, self.commands)
         self.episode_length_buf += 1
-
+        self._seen = None
         self.outcome = self._judge()
         reward = torch.stack(list(self.outcome.reward_terms.values())).sum(dim=0)
         failed = self.outcome.fallen | self.outcome.off_course
@@ -139,7 +145,17 @@ class Environment(VecEnv):
         self._move_between_levels(failed, self.outcome.timed_out)
         extras = {"time_outs": self.outcome.timed_out, "log": self._log(dones)}
         self.reset(dones)
+        self._starts.grow_old(self.commands.frequency if self._changes is None else self._own_frequency)
         return self.get_observations(), reward, dones.to(torch.long), extras
+
+    def check(self) -> None:
+        """Look whether all actions so far were numbers. On a GPU this waits for it: once an iteration is enough.
+
+        Raises:
+            UserError: An action was not finite: the policy has diverged.
+        """
+        if not bool(self._sound):
+            raise UserError("the policy gave actions that are not finite; resume from an earlier checkpoint")
 
     def command(self, *, frequency: torch.Tensor | None = None, heading: torch.Tensor | None = None) -> None:
         """Tell the robots something else, from the end of the coming control step on.
@@ -160,11 +176,14 @@ class Environment(VecEnv):
         if self._commands_to_come is not None:
             self.commands, self._commands_to_come = self._commands_to_come, None
             self.actuation.follow(self.phase, self.commands)
+            self._seen = None
 
     def _view(self) -> View:
-        """The robots as they are now."""
+        """The robots as they are now; made anew only after they, their commands or their targets have changed."""
+        if self._seen is not None:
+            return self._seen
         state, actuation = self.engine.state, self.actuation
-        return View(
+        self._seen = View(
             state=state,
             ground_height=self._ground_height(state.root_position),
             commands=self.commands,
@@ -174,6 +193,7 @@ class Environment(VecEnv):
             target=actuation.target,
             target_velocity=actuation.target_velocity,
         )
+        return self._seen
 
     def _judge(self) -> StepOutcome:
         """Falls and reward terms of the robots as they are now."""
@@ -223,14 +243,9 @@ class Environment(VecEnv):
         """Episode means of the reward terms where an episode ended, and the speed of the slow and the fast third."""
         for name, term in self.outcome.reward_terms.items():
             self._episode_rewards[name] = self._episode_rewards.get(name, 0.0) + term
-        log: dict[str, torch.Tensor] = {}
-        if dones.any():
-            for name, total in self._episode_rewards.items():
-                log[f"Episode_Reward/{name}"] = (total[dones] / self._episode_steps[dones]).mean()
-                total[dones] = 0.0
-            self._episode_steps[dones] = 0.0
-            log["Episode_End/fallen"] = self.outcome.fallen[dones].float().mean()
-            log["Episode_End/off_course"] = self.outcome.off_course[dones].float().mean()
+        if not (reading_is_free(self.device) and not dones.any()):
+            self._note_ended(dones)
+        log = dict(self._episode_means)
         speed = torch.nan_to_num(self.outcome.state.root_linear_velocity[:, 0])
         if self.task.ground.levels > 1:
             log["Curriculum/level"] = self.level.float().mean()
@@ -239,6 +254,18 @@ class Environment(VecEnv):
         log["Speed/lowest_third_of_f"] = by_frequency[:third].mean()
         log["Speed/highest_third_of_f"] = by_frequency[-third:].mean()
         return log
+
+    def _note_ended(self, dones: torch.Tensor) -> None:
+        """Means over the episodes that have just ended; where there are none, the last ones stay."""
+        ended = {f"Episode_Reward/{name}": total / self._episode_steps for name, total in self._episode_rewards.items()}
+        ended["Episode_End/fallen"] = self.outcome.fallen.float()
+        ended["Episode_End/off_course"] = self.outcome.off_course.float()
+        number = dones.sum()
+        for name, values in ended.items():
+            mean = values.masked_fill(~dones, 0.0).sum() / number.clamp_min(1)
+            self._episode_means[name] = torch.where(number > 0, mean, self._episode_means.get(name, mean))
+        self._episode_rewards = {name: each.masked_fill(dones, 0.0) for name, each in self._episode_rewards.items()}
+        self._episode_steps = self._episode_steps.masked_fill(dones, 0.0)
 
     def get_observations(self) -> TensorDict:
         """Current observations: under ``policy`` the network's, shape [num_envs, 192] (136 without a CPG).
@@ -255,45 +282,24 @@ class Environment(VecEnv):
         """Start new episodes in all environments, at these stride frequencies [Hz], shape [num_envs]."""
         self.commands, self._commands_to_come = replace(self.commands, frequency=frequency), None
         self._own_frequency = frequency
+        self._starts.draw(frequency)
         self.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
 
     @torch.no_grad()
     def reset(self, mask: torch.Tensor) -> None:
-        """Start new episodes: a random phase of the gait, its joint velocities, half to full forward speed.
-
-        On terrain a robot starts anywhere in the starting area of its level, standing on the surface.
+        """Start new episodes, as :class:`Starts` has them ready.
 
         Args:
             mask: Environments to reset, bool, shape [num_envs].
         """
-        rows = mask.nonzero().squeeze(1)
-        if rows.numel() == 0:
+        if reading_is_free(self.device) and not mask.any():
             return
-        self.phase = torch.where(mask, self._uniform(0.0, 2 * math.pi), self.phase)
+        self.phase = torch.where(mask, self._starts.phase, self.phase)
         self.actuation.follow(self.phase, self.commands)
-        speed_share = self._uniform(self.task.resets.minimum_speed, self.task.resets.maximum_speed)
-        start = self.actuation.start(self.phase[rows], self.commands.frequency[rows], speed_share[rows])
-        self._place(start, rows)
-        spread = {
-            name: value.new_zeros(self.num_envs, value.shape[1]).index_copy(0, rows, value)
-            for name, value in vars(start).items()
-        }
-        self.engine.reset(mask, BodyState(**spread))
+        self.engine.reset(mask, self._starts.states(self.level))
         self.actuation.forget(mask)
+        self._seen = None
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
-
-    def _place(self, start: BodyState, rows: torch.Tensor) -> None:
-        """Move start states from flat ground at the origin to a place on the terrain, no sole below the surface."""
-        terrain = self.engine.terrain
-        if terrain is None:
-            return
-        share = torch.stack((self._uniform(0.0, 1.0), self._uniform(0.0, 1.0)), dim=1)
-        position = start.root_position.clone()
-        position[:, :2] += terrain.starts(self.level, share)[rows]
-        position[:, 2] += terrain.height(position)
-        soles = sole_corners(position, start.root_rotation, start.joint_position).flatten(1, 2)
-        position[:, 2] += (terrain.height(soles) - soles[..., 2]).amax(dim=1).clamp_min(0.0)
-        start.root_position = position
 
     def _pushes(self) -> torch.Tensor | None:
         """Force on the torso for this step [N], shape [num_envs, 3]; None where the task has no pushes."""

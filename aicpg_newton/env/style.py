@@ -9,7 +9,7 @@ state has 105 numbers, as it gives each three-hinge joint as tangent and normal.
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cache, cached_property
 
 import torch
 
@@ -47,8 +47,13 @@ class StyleView(BodyView):
         origin = torch.zeros_like(self.state.root_position)
         links = (*HAND_LINKS, *FOOT_NAMES)
         positions, turned = forward_kinematics(origin, self.tilt, self.state.joint_position, links)
-        hand = positions.new_tensor(HAND_CENTRE).expand_as(positions[..., :2, :])
+        hand = _hand_centre(positions.device, positions.dtype).expand_as(positions[..., :2, :])
         return positions[..., :2, :] + rotations.rotate(turned[..., :2, :], hand), positions[..., 2:, :]
+
+
+@cache
+def _hand_centre(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
+    return torch.tensor(HAND_CENTRE, device=device, dtype=dtype)
 
 
 BLOCKS: tuple[Block[StyleView], ...] = (

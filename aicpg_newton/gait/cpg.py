@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,12 @@ class Gait:
     """The same RMS for the joint with the largest one [rad]."""
 
 
+@cache
+def _table(gaits: tuple[Gait, ...], name: str, device: torch.device, dtype: torch.dtype) -> torch.Tensor:
+    """A field of all gaits as a tensor, shape [gaits, ...], made once for a device."""
+    return torch.tensor([getattr(gait, name) for gait in gaits], device=device, dtype=dtype)
+
+
 class PatternNetwork(nn.Module):
     """Pattern formation layer S: an MLP 50-128-128-28 with ReLU from timing signal to target joint angles."""
 
@@ -150,7 +157,7 @@ class PatternNetwork(nn.Module):
         angles that S gives there swing nearly as far: the line would come to a standstill at 0.64 Hz.
         """
         slowest = self.gaits[0]
-        line = self._between_gaits(frequency, torch.tensor([gait.speed for gait in self.gaits]))
+        line = self._between_gaits(frequency, _table(self.gaits, "speed", frequency.device, frequency.dtype))
         return torch.where(frequency < slowest.frequency, frequency * (slowest.speed / slowest.frequency), line)
 
     def root_motion(self, phase: torch.Tensor, frequency: torch.Tensor) -> torch.Tensor:
@@ -165,7 +172,7 @@ class PatternNetwork(nn.Module):
         """
         frequencies = [gait.frequency for gait in self.gaits]
         inside = frequency.clamp(min(frequencies), max(frequencies))
-        series = torch.tensor([gait.root_harmonics for gait in self.gaits])
+        series = _table(self.gaits, "root_harmonics", frequency.device, frequency.dtype)
         coefficients = self._between_gaits(inside, series)
         basis = fourier_basis(phase, (series.shape[1] - 1) // 2)
         return (basis.unsqueeze(-1) * coefficients).sum(dim=-2)
@@ -174,7 +181,6 @@ class PatternNetwork(nn.Module):
         """Values at the first and last gait, shape [2, ...], on a straight line over frequency."""
         low, high = self.gaits[0].frequency, self.gaits[-1].frequency
         share = ((frequency - low) / (high - low)).reshape((*frequency.shape, *(1,) * (values.ndim - 1)))
-        values = values.to(frequency)
         return values[0] + share * (values[-1] - values[0])
 
     def content(self) -> dict[str, Any]:

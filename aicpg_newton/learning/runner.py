@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,16 @@ class Runner(OnPolicyRunner):
         super().__init__(environment, settings, log_dir=log_dir, device=str(device or environment.device))
         # rsl_rl keeps the revision and the uncommitted changes of this project with the run.
         self.logger.git_status_repos = [__file__]
-        self.alg.update = torch_threads(torch.get_num_threads())(self.alg.update)
+        self.alg.update = torch_threads(torch.get_num_threads())(self._checked(self.alg.update))
+
+    def _checked(self, update: Callable[[], dict[str, float]]) -> Callable[[], dict[str, float]]:
+        """An update that learns from nothing that is not a number."""
+
+        def checked() -> dict[str, float]:
+            self.env.check()
+            return update()
+
+        return checked
 
     @torch_threads(1)
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:

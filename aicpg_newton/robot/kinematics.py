@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import mujoco
@@ -91,6 +91,14 @@ def skeleton() -> Skeleton:
     )
 
 
+@cache
+def skeleton_on(device: torch.device, dtype: torch.dtype) -> Skeleton:
+    """The same with its tensors on a device and of a type, made once."""
+    tree = skeleton()
+    moved = {name: each.to(device, dtype) for name, each in vars(tree).items() if isinstance(each, torch.Tensor)}
+    return replace(tree, **moved)
+
+
 @dataclass(frozen=True)
 class _Tree:
     """The kinematic tree level by level, as tensors of one device and type."""
@@ -100,6 +108,8 @@ class _Tree:
     """Hinges of each link, outermost first, filled up with 28, which turns nothing; shape [13, 3]."""
     levels: tuple[tuple[torch.Tensor, torch.Tensor, torch.Tensor], ...]
     """Below the root: links of a level, their parents' places in the level above, and their offsets [m]."""
+    still: torch.Tensor
+    """The rotation that turns nothing, shape [4]."""
     place: torch.Tensor
     """Where each link stands when the levels are put one behind the other, shape [13]."""
 
@@ -120,8 +130,15 @@ def _tree(device: torch.device, dtype: torch.dtype) -> _Tree:
         axes=tree.axes.to(device, dtype),
         slots=torch.tensor(slots, device=device),
         levels=tuple(levels),
+        still=torch.tensor((0.0, 0.0, 0.0, 1.0), device=device, dtype=dtype),
         place=torch.argsort(torch.tensor(order, device=device)),
     )
+
+
+@cache
+def _places(links: tuple[str, ...], device: torch.device, dtype: torch.dtype) -> torch.Tensor:
+    """Where links stand when the levels are put one behind the other, shape [len(links)]."""
+    return _tree(device, dtype).place[torch.tensor([LINK_NAMES.index(name) for name in links], device=device)]
 
 
 def forward_kinematics(
@@ -143,7 +160,7 @@ def forward_kinematics(
     """
     tree = _tree(joint_position.device, joint_position.dtype)
     hinges = rotations.about_axis(tree.axes.expand(*joint_position.shape, 3), joint_position)
-    still = hinges.new_tensor((0.0, 0.0, 0.0, 1.0)).expand(*hinges.shape[:-2], 1, 4)
+    still = tree.still.expand(*hinges.shape[:-2], 1, 4)
     # All links of a level at once: the cost is in the number of operations, not in their size.
     outer, middle, inner = torch.cat((hinges, still), dim=-2)[..., tree.slots, :].unbind(dim=-2)
     turns = rotations.multiply(rotations.multiply(outer, middle), inner)
@@ -155,7 +172,7 @@ def forward_kinematics(
         rotation = rotations.multiply(rotation, turns[..., level, :])
         positions.append(position)
         orientations.append(rotation)
-    wanted = tree.place[[LINK_NAMES.index(name) for name in links]]
+    wanted = _places(links, joint_position.device, joint_position.dtype)
     return torch.cat(positions, dim=-2)[..., wanted, :], torch.cat(orientations, dim=-2)[..., wanted, :]
 
 
@@ -164,7 +181,7 @@ def sole_corners(
 ) -> torch.Tensor:
     """World positions [m] of the sole corners, shape [..., 2, 4, 3] (right, left); arguments as above."""
     positions, orientations = forward_kinematics(root_position, root_rotation, joint_position, FOOT_NAMES)
-    corners = skeleton().sole_corners.to(joint_position)
+    corners = skeleton_on(joint_position.device, joint_position.dtype).sole_corners
     corners = corners.expand(*joint_position.shape[:-1], *corners.shape)
     rotation = orientations.unsqueeze(-2).expand(*corners.shape[:-1], 4)
     return positions.unsqueeze(-2) + rotations.rotate(rotation, corners)
@@ -181,7 +198,7 @@ def centre_of_mass(
     root_position: torch.Tensor, root_rotation: torch.Tensor, joint_position: torch.Tensor
 ) -> torch.Tensor:
     """World position of the whole body's centre of mass [m], shape [..., 3]; arguments as above."""
-    tree = skeleton()
+    tree = skeleton_on(joint_position.device, joint_position.dtype)
     positions, orientations = forward_kinematics(root_position, root_rotation, joint_position)
-    offsets, share = tree.mass_centres.to(joint_position), (tree.masses / tree.masses.sum()).to(joint_position)
+    offsets, share = tree.mass_centres, tree.masses / tree.masses.sum()
     return ((positions + rotations.rotate(orientations, offsets.expand_as(positions))) * share.unsqueeze(1)).sum(-2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from typing import NamedTuple
 
 import torch
@@ -23,7 +24,14 @@ class Mirror(NamedTuple):
 
     def __call__(self, values: torch.Tensor) -> torch.Tensor:
         """The mirror image of values, shape [..., size]; mirroring twice is the identity."""
-        return values[..., list(self.permutation)] * values.new_tensor(self.sign)
+        permutation, sign = _tensors(self, values.device, values.dtype)
+        return values[..., permutation] * sign
+
+
+@cache
+def _tensors(mirror: Mirror, device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
+    """Permutation and sign on a device, once: constants made anew each time would have a GPU wait for the host."""
+    return torch.tensor(mirror.permutation, device=device), torch.tensor(mirror.sign, device=device, dtype=dtype)
 
 
 def joined(parts: Iterable[Mirror]) -> Mirror:

@@ -6,12 +6,14 @@ import pytest
 import torch
 
 from aicpg_newton.engines.terrain import Ground, Terrain
+from aicpg_newton.env import environment as module
 from aicpg_newton.env.actuation import PatternActuation
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.task import Frequencies
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
 from aicpg_newton.gait.poses import gait_pose
+from aicpg_newton.learning.runner import Runner
 from aicpg_newton.robot import humanoid, rotations
 from aicpg_newton.robot.kinematics import sole_corners, sole_heights
 from tasks import get_task
@@ -172,7 +174,7 @@ def test_time_out_is_no_failure(environment: Environment):
 
 
 def test_episode_rewards_are_means_per_step(environment: Environment):
-    """Three steps and a fall: the log holds the mean of the weighted term over the episode."""
+    """Three steps and a fall: the log holds the mean of the weighted term over the episode, until another one ends."""
     for _ in range(3):
         environment.step(rest(environment))
     low = environment.engine.state.root_position.clone()
@@ -182,13 +184,31 @@ def test_episode_rewards_are_means_per_step(environment: Environment):
     assert log["Episode_Reward/survival"].item() == pytest.approx(0.01 * 3 / 4)
     assert log["Episode_End/fallen"].item() == 1.0
     environment.engine.overrides = {}  # type: ignore[attr-defined]
-    assert "Episode_Reward/survival" not in environment.step(rest(environment))[3]["log"]
+    assert environment.step(rest(environment))[3]["log"]["Episode_Reward/survival"] == log["Episode_Reward/survival"]
+    environment.episode_length_buf[1] = environment.max_episode_length
+    log = environment.step(rest(environment))[3]["log"]
+    assert log["Episode_Reward/survival"].item() == pytest.approx(0.01)
+    assert log["Episode_End/fallen"].item() == 0.0
 
 
 def test_actions_that_are_not_finite_are_refused(environment: Environment):
     """A diverged policy is an error, not a thousand quiet resets."""
     with pytest.raises(UserError, match="not finite"):
         environment.step(torch.full((6, 28), float("nan")))
+
+
+def test_on_a_gpu_actions_are_looked_at_before_the_update(puppet, pattern: PatternNetwork, monkeypatch):
+    """Not in every step, which would wait for it; nothing is learned from them, and nothing is lost."""
+    monkeypatch.setattr(module, "reading_is_free", lambda device: False)
+    task = get_task("flat")
+    task.learning.hidden_sizes = (16,)
+    runner = Runner(Environment(task, puppet(4), pattern), {"seed": 0})
+    before = {name: value.clone() for name, value in runner.alg.actor.state_dict().items()}
+    runner.env.step(torch.full((4, 28), float("nan")))
+    with pytest.raises(UserError, match="not finite"):
+        runner.alg.update()
+    after = runner.alg.actor.state_dict()
+    assert all(torch.equal(before[name], after[name]) for name in before if name.startswith("mlp"))
 
 
 def test_start_states_are_those_of_the_gait(environment: Environment):

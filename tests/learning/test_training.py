@@ -52,7 +52,8 @@ def test_run_folder(run: Path):
     assert checkpoint.latest(run).name == "model_1.pt"
     config = yaml.safe_load((run / "config.yaml").read_text())
     assert config["task"]["learning"]["hidden_sizes"] == [32, 32]
-    assert config["task"]["frequencies"] == {"minimum": 0.8, "maximum": 1.4}
+    frequencies = config["task"]["frequencies"]
+    assert (frequencies["minimum"], frequencies["maximum"]) == (0.8, 1.4)
     assert config["run"]["num_envs"] == 4
     assert config["run"]["engine"] == "mujoco"
     assert config["run"]["device"] == config["run"]["learner_device"] == "cpu"
