@@ -9,3 +9,6 @@ __version__ = "0.1.0"
 # if they give up early. GNU's OpenMP reads this when torch is imported; what the user has set is obeyed.
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ.setdefault("GOMP_SPINCOUNT", "1000")
+
+# rsl_rl imports a package that raises where git is not installed, if it is not told to be quiet.
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")

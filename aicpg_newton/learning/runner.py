@@ -16,6 +16,7 @@ from aicpg_newton.device import torch_threads
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.observations import differences, layout, mirror_of
 from aicpg_newton.env.stored import to_dict
+from aicpg_newton.env.task import Learning
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.settings import runner_settings
@@ -51,15 +52,37 @@ class Runner(OnPolicyRunner):
         settings = runner_settings(environment.task, mirror_of(environment.blocks), run["seed"])
         log_dir = None if folder is None else str(folder)
         super().__init__(environment, settings, log_dir=log_dir, device=str(device or environment.device))
-        # rsl_rl keeps the revision and the uncommitted changes of this project with the run.
-        self.logger.git_status_repos = [__file__]
+        self.logger.git_status_repos = []  # the run keeps what is to be kept of its code
         self.alg.update = torch_threads(torch.get_num_threads())(self._checked(self.alg.update))
+
+    def _configure_multi_gpu(self) -> None:
+        """One process, whatever a launcher has put into the environment: playing and judging do not care."""
+        self.gpu_world_size, self.gpu_local_rank, self.gpu_global_rank = 1, 0, 0
+        self.is_distributed, self.cfg["multi_gpu"] = False, None
+
+    def obey(self, wanted: Learning, before: Learning) -> None:
+        """Take settings that a checkpoint's own state would overrule: the learning rate and the exploration.
+
+        Args:
+            wanted: Settings of this run.
+            before: Settings that the checkpoint was trained with; where they are the same, its state goes on.
+        """
+        fixed_now = wanted.learning_rate_schedule == "fixed" != before.learning_rate_schedule
+        if wanted.learning_rate != before.learning_rate or fixed_now:
+            self.alg.learning_rate = wanted.learning_rate
+        else:
+            self.alg.learning_rate = self.alg.optimizer.param_groups[0]["lr"]  # within the bounds of this run
+        if wanted.initial_std != before.initial_std:
+            distribution: Any = self.alg.actor.distribution
+            with torch.no_grad():
+                distribution.log_std_param.fill_(math.log(wanted.initial_std))
 
     def _checked(self, update: Callable[[], dict[str, float]]) -> Callable[[], dict[str, float]]:
         """An update that learns from nothing that is not a number."""
 
         def checked() -> dict[str, float]:
             self.env.check()
+            self.logger.ep_extras.append({"Learning/rate": torch.tensor(self.alg.learning_rate)})
             return update()
 
         return checked

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import datetime
 import math
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import git
 import torch
 import yaml
 
@@ -22,6 +25,7 @@ from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint
+from aicpg_newton.learning.bookkeeping import claim, git_revision, new_folder, release, store_changes
 from aicpg_newton.learning.runner import Runner, TimeIsUp
 from aicpg_newton.robot import humanoid
 from tasks import task_from_dict
@@ -45,12 +49,12 @@ class RunOptions:
     """Iterations of the whole run, those before a resume included (paper, Sec. III-A: 3000 epochs)."""
     max_minutes: float | None = None
     """Stop at the first checkpoint after this time [min]; --resume goes on from there."""
-    seed: int = 0
-    """Seed of networks, exploration and resets; a resumed run keeps its own."""
+    seed: int | None = None
+    """Seed of networks, exploration and resets, 0 when not given; a resumed run keeps its own."""
     run_dir: Path | None = None
     """Folder of the run; runs/<task>/<method>/<date and time> when not given."""
-    pattern: Path = DEFAULT_PATTERN
-    """Weights of the pattern network, from python -m aicpg_newton.motion."""
+    pattern: Path | None = None
+    """Weights of the pattern network, from python -m aicpg_newton.motion; those that ship when not given."""
     resume: Path | None = None
     """Checkpoint or run folder to continue, in the same folder unless --run-dir is given."""
     start_from: Path | None = None
@@ -71,6 +75,11 @@ def train(task: Task, options: RunOptions) -> Path:
         UserError: An option cannot be met; nothing has been written then.
     """
     task.validate()
+    if int(os.environ.get("WORLD_SIZE") or 1) > 1:
+        raise UserError(
+            f"WORLD_SIZE is {os.environ['WORLD_SIZE']}, as several processes that train together have it, which is not"
+            " possible yet; unset it to train in this process alone"
+        )
     if options.max_iterations < 1:
         raise UserError(f"--max-iterations is {options.max_iterations}; give a positive number")
     if options.num_envs is not None and options.num_envs < 1:
@@ -88,13 +97,23 @@ def train(task: Task, options: RunOptions) -> Path:
         raise UserError(
             f"{options.resume} holds no optimiser, it can only be played; resume from a run's own checkpoint"
         )
+    if previous is not None and options.seed not in (None, previous["run"]["seed"]):
+        raise UserError(
+            f"--seed is {options.seed}, but {options.resume} is a run of seed {previous['run']['seed']}; leave it out,"
+            " or begin a new run with --start-from"
+        )
     if previous is not None and previous["iteration"] >= options.max_iterations:
         raise UserError(
             f"{options.resume} has {previous['iteration']} iterations already; give a larger --max-iterations"
         )
     known = previous or start
+    if known is not None and options.pattern is not None:
+        raise UserError(
+            f"--pattern {options.pattern} goes with a new run; {options.resume or options.start_from} brings the"
+            " pattern network that its networks were trained with, so leave it out"
+        )
     if known is None:
-        pattern = PatternNetwork.load(options.pattern)
+        pattern = PatternNetwork.load(options.pattern or DEFAULT_PATTERN)
     else:
         pattern = PatternNetwork.from_content(known["pattern"], str(options.resume or options.start_from))
     num_envs = options.num_envs or (8192 if device.type == "cuda" else 256)
@@ -104,9 +123,26 @@ def train(task: Task, options: RunOptions) -> Path:
     if samples < task.learning.minibatches:
         raise UserError(f"{samples} samples do not fill learning.minibatches = {task.learning.minibatches}; lower it")
     folder = _run_folder(task, options)
+    try:
+        return _train_in(folder, task, options, device, learner_device, pattern, num_envs, previous, start)
+    finally:
+        release(folder)
 
+
+def _train_in(
+    folder: Path,
+    task: Task,
+    options: RunOptions,
+    device: torch.device,
+    learner_device: torch.device,
+    pattern: PatternNetwork,
+    num_envs: int,
+    previous: dict[str, Any] | None,
+    start: dict[str, Any] | None,
+) -> Path:
+    """Train in a folder that is this run's own."""
     done = 0 if previous is None else previous["iteration"]
-    begun = {"seed": options.seed} if previous is None else previous["run"]
+    begun = {"seed": options.seed or 0} if previous is None else previous["run"]
     origin = begun.get("start_from") if start is None else f"{options.start_from} ({start['samples']} samples)"
     seed = begun["seed"] + done  # a resumed run does not draw the same numbers again
     torch.manual_seed(seed)
@@ -114,6 +150,9 @@ def train(task: Task, options: RunOptions) -> Path:
     engine = engine_for(task, options.engine, num_envs, device)
     environment = Environment(task, engine, pattern, seed=seed)
     print(f"Task {run_name(task)}: {num_envs} environments, engine {engine.name}, device {device}. Folder: {folder}")
+    revision, reason = git_revision()
+    if reason:
+        print(f"The revision of the code is not known ({reason}); the run goes on without.")
     run = {
         "num_envs": num_envs,
         "engine": engine.name,
@@ -122,25 +161,28 @@ def train(task: Task, options: RunOptions) -> Path:
         "seed": begun["seed"],
         "max_iterations": options.max_iterations,
         "start_from": origin,
-        "git_revision": git_revision(),
+        "git_revision": revision,
         "versions": {name: metadata.version(name) for name in ("newton", "warp-lang", "mujoco", "torch", "rsl-rl-lib")},
     }
     seconds = math.inf if options.max_minutes is None else 60 * options.max_minutes
     runner = Runner(environment, run, folder, seconds, learner_device)
     if start is not None:
         runner.take_networks(start, "actor", "critic")
+        runner.obey(task.learning, task_from_dict(start["task"], str(options.start_from)).learning)
         print(f"Begins with the networks of {options.start_from}.")
     if previous is not None:
         runner.restore(previous)
+        runner.obey(task.learning, task_from_dict(previous["task"], str(options.resume)).learning)
         print(f"Resumed {options.resume} after {done} iterations.")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         name = CONFIG_NAME if not (folder / CONFIG_NAME).exists() else f"config_from_iteration_{done}.yaml"
         _write_config(folder / name, task, run)
     except OSError as error:
         raise UserError(f"cannot write into {folder} ({error.strerror}); give --run-dir another one") from error
+    store_changes(folder)
     try:
-        runner.learn(options.max_iterations - done, init_at_random_ep_len=True)
+        with signals_that_interrupt():
+            runner.learn(options.max_iterations - done, init_at_random_ep_len=True)
     except TimeIsUp:
         print(f"The {options.max_minutes:g} minutes are over; continue with:  python train.py --resume {folder}")
     except KeyboardInterrupt:
@@ -178,15 +220,6 @@ def task_of(resume: Path) -> Task:
     return task_from_dict(checkpoint.read(resume)["task"], str(resume))
 
 
-def git_revision() -> str:
-    """Commit of this checkout, with ``+`` where files differ from it; ``unknown`` outside one."""
-    try:
-        repository = git.Repo(__file__, search_parent_directories=True)
-        return repository.head.commit.hexsha + ("+" if repository.is_dirty() else "")
-    except (git.InvalidGitRepositoryError, ValueError):
-        return "unknown"
-
-
 def _run_folder(task: Task, options: RunOptions) -> Path:
     """Where the run goes; a folder that holds another run is never written into."""
     if options.run_dir is None and options.resume is not None:
@@ -196,12 +229,28 @@ def _run_folder(task: Task, options: RunOptions) -> Path:
             raise UserError(f"{folder} holds later checkpoints up to {last.name}; resume that one, or give --run-dir")
         return folder
     if options.run_dir is None:
-        return Path("runs") / task.name / task.method / datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    if options.run_dir.exists() and (not options.run_dir.is_dir() or any(options.run_dir.iterdir())):
-        raise UserError(
-            f"--run-dir {options.run_dir} is not empty; choose another folder, or continue it with --resume"
-        )
+        return new_folder(Path("runs") / task.name / task.method)
+    claim(options.run_dir)
     return options.run_dir
+
+
+@contextmanager
+def signals_that_interrupt() -> Iterator[None]:
+    """SIGTERM (a cluster's time is up) and SIGHUP (a terminal is closed) end a run as Ctrl-C does: it saves first."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may ask for signals
+        return
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {name: signal.signal(getattr(signal, name), interrupt) for name in names}
+    try:
+        yield
+    finally:
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler)
 
 
 def _title(device: torch.device) -> str:
