@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
 
-from aicpg_newton.env.methods import run_name
+from aicpg_newton.env.methods import get_method, run_name
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.evaluation import results
@@ -21,6 +22,7 @@ from aicpg_newton.evaluation.controllers import trained
 from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP
 from aicpg_newton.evaluation.run import Laboratory, evaluate, identity_of
 from aicpg_newton.figures.draw import draw_all
+from aicpg_newton.files import only_one
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.training import CONFIG_NAME, RunOptions, train
 from tasks import get_task, task_from_dict
@@ -115,34 +117,65 @@ def compare(options: CompareOptions) -> bool:
     if options.max_minutes is not None and not options.max_minutes > 0.0:
         raise UserError(f"--max-minutes is {options.max_minutes}; give a positive number")
     everything = trainings(options)
+    groups = max(each.groups for each in (SWEEP, DISTURBANCE))
+    if options.test_envs < groups and any(get_method(each.task.method).follows_frequency for each in everything):
+        raise UserError(
+            f"--test-envs is {options.test_envs}, but the evaluation has {groups} frequencies; give at least one"
+            " environment each"
+        )
     began = time.monotonic()
     for training in everything:
         left = None if options.max_minutes is None else options.max_minutes - (time.monotonic() - began) / 60
         if left is not None and left <= 0.0:
             break
-        done = training.iterations()
-        if done == 0 and (training.folder / CONFIG_NAME).is_file():
-            shutil.rmtree(training.folder)  # it was ended before its first checkpoint: there is nothing to go on from
-        if done < options.max_iterations:
-            train(
-                training.task,
-                RunOptions(
-                    num_envs=options.num_envs,
-                    device=options.device,
-                    engine=options.engine,
-                    max_iterations=options.max_iterations,
-                    max_minutes=left,
-                    seed=training.seed,
-                    run_dir=None if done else training.folder,
-                    resume=training.folder if done else None,
-                ),
-            )
+        results.make_folder(options.out)
+        with only_one(options.out / f".{training.folder.name}.lock") as mine:
+            if mine:
+                _train(training, options, left)
+            else:
+                print(f"{training.folder.name} is being trained by another job; left to it.")
     iterations = [training.iterations() for training in everything]
     for training, done in zip(everything, iterations, strict=True):
         print(f"{training.folder.name:32}{done:6d} of {options.max_iterations} iterations")
     if min(iterations) < options.max_iterations:
         print("Not all are finished: give the same command again. The evaluation comes when they are.")
         return False
+    with only_one(options.out / ".evaluation.lock") as mine:
+        if not mine:
+            print("All are finished; another job is evaluating them.")
+            return True
+        return _evaluate(everything, options)
+
+
+def _train(training: Training, options: CompareOptions, left: float | None) -> None:
+    """Do what is missing of a training that no other job is at.
+
+    Args:
+        training: Which.
+        options: How long and where.
+        left: Time left [min]; None without a limit.
+    """
+    done = training.iterations()
+    if done == 0 and (training.folder / CONFIG_NAME).is_file():
+        shutil.rmtree(training.folder)  # it was ended before its first checkpoint: there is nothing to go on from
+    if done < options.max_iterations:
+        train(
+            training.task,
+            RunOptions(
+                num_envs=options.num_envs,
+                device=options.device,
+                engine=options.engine,
+                max_iterations=options.max_iterations,
+                max_minutes=left,
+                seed=None if done else training.seed,
+                run_dir=None if done else training.folder,
+                resume=training.folder if done else None,
+            ),
+        )
+
+
+def _evaluate(everything: Sequence[Training], options: CompareOptions) -> bool:
+    """Test all trainings together; returns True."""
     folder = options.out / "evaluation"
     laboratory = Laboratory(options.test_envs, options.engine, options.device, show=True)
     controllers = [trained(training.folder) for training in everything]

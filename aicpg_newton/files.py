@@ -1,8 +1,10 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and work that only one process does."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
@@ -57,6 +59,30 @@ class WholeFile:
         self.drop()
         if isinstance(error, OSError):
             raise self._sorry(error) from error
+
+
+@contextmanager
+def only_one(path: Path) -> Iterator[bool]:
+    """Whether this process alone does what a file stands for, for as long as it lasts; the others are told False.
+
+    The system takes the lock back when a process ends, however it ends. Where it has no such locks (Windows), everyone
+    is told True.
+
+    Args:
+        path: File that is locked; it is made, and stays behind empty.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield True
+        return
+    with path.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+            return
+        yield True
 
 
 def write_text(path: Path, text: str) -> None:

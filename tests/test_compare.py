@@ -14,6 +14,7 @@ from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.run import identity_of
+from aicpg_newton.files import only_one
 from aicpg_newton.learning import checkpoint, runner
 from tasks import get_task
 
@@ -69,7 +70,7 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
     monkeypatch.setattr(compare, "evaluate", begin_to_evaluate)
     monkeypatch.setattr(compare, "draw_all", lambda folders, out: [])
     settings = {"out": tmp_path / "c", "methods": ("ai-cpg", "ppo:2"), "seeds": (3,), "device": "cpu"}
-    options = CompareOptions(**settings, max_iterations=2, save_interval=1, num_envs=2, test_envs=2, max_minutes=1e-9)
+    options = CompareOptions(**settings, max_iterations=2, save_interval=1, num_envs=2, test_envs=15, max_minutes=1e-9)
     assert not compare.compare(options)
     assert not (tmp_path / "c").exists()
     options.max_minutes = minute_a_look
@@ -96,6 +97,27 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
 
 
 @pytest.mark.usefixtures("small")
+def test_two_jobs_share_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
+    """What another job is at is left alone, its folder too; what is free is done."""
+    monkeypatch.setattr(compare, "evaluate", lambda *_: pytest.fail("not all are finished"))
+    busy = tmp_path / "flat_seed_0"
+    busy.mkdir()
+    (busy / "config.yaml").write_text("of a training without a checkpoint yet")
+    settings = {"out": tmp_path, "methods": ("ai-cpg",), "device": "cpu", "num_envs": 2, "save_interval": 1}
+    options = CompareOptions(**settings, seeds=(0, 1), max_iterations=1)
+    with only_one(tmp_path / ".flat_seed_0.lock") as mine:
+        assert mine
+        assert not compare.compare(options)
+    assert "flat_seed_0 is being trained by another job" in capsys.readouterr().out
+    assert [path.name for path in busy.iterdir()] == ["config.yaml"]
+    assert checkpoint.read(tmp_path / "flat_seed_1")["iteration"] == 1
+    monkeypatch.setattr(compare, "evaluate", lambda *_: None)
+    monkeypatch.setattr(compare, "draw_all", lambda *_: [])
+    assert compare.compare(options)  # nobody is at it any more
+    assert checkpoint.read(busy)["iteration"] == 1
+
+
+@pytest.mark.usefixtures("small")
 def test_another_training_in_the_folder_is_refused(tmp_path: Path, minute_a_look: float):
     """Settings that differ from those it was begun with are not mixed up with them."""
     settings = {"out": tmp_path, "methods": ("ai-cpg",), "seeds": (0,), "device": "cpu", "num_envs": 2}
@@ -116,6 +138,7 @@ def test_another_training_in_the_folder_is_refused(tmp_path: Path, minute_a_look
         ({"task": "moon"}, "unknown task"),
         ({"max_minutes": 0.0}, "--max-minutes is 0"),
         ({"max_iterations": 0}, "--max-iterations is 0"),
+        ({"test_envs": 8}, "--test-envs is 8, but the evaluation has 15 frequencies"),
     ],
 )
 def test_bad_options(tmp_path: Path, changes: dict, message: str):

@@ -41,7 +41,9 @@ class StepOutcome:
     reward_terms: dict[str, torch.Tensor]
     """Weighted and scaled reward terms; zero where the robot fell."""
     fallen: torch.Tensor
-    """Fell, or left the finite numbers."""
+    """Fell, or diverged."""
+    diverged: torch.Tensor
+    """The simulation of this robot has gone wrong: numbers that are not finite, or speeds that no body reaches."""
     off_course: torch.Tensor
     """Turned too far from the target without falling."""
     timed_out: torch.Tensor
@@ -199,7 +201,8 @@ class Environment(VecEnv):
         """Falls and reward terms of the robots as they are now."""
         limits, view = self.task.termination, self._view()
         state = view.state
-        fallen = ~state.finite() | (view.height < limits.minimum_height)
+        diverged = _diverged(state)
+        fallen = diverged | (view.height < limits.minimum_height)
         fallen |= view.up < math.cos(math.radians(limits.maximum_tilt))
         heading_cosine = torch.cos(view.roll_pitch_yaw[2] - self.commands.heading)
         off_course = ~fallen & (heading_cosine < math.cos(math.radians(limits.maximum_heading)))
@@ -218,6 +221,7 @@ class Environment(VecEnv):
                 name: (weight * term(view)).masked_fill(failed, 0.0) for name, (weight, term) in self._terms.items()
             },
             fallen=fallen,
+            diverged=diverged,
             off_course=off_course,
             timed_out=timed_out & ~failed,
         )
@@ -246,7 +250,7 @@ class Environment(VecEnv):
         if not (reading_is_free(self.device) and not dones.any()):
             self._note_ended(dones)
         log = dict(self._episode_means)
-        speed = torch.nan_to_num(self.outcome.state.root_linear_velocity[:, 0])
+        speed = self.outcome.state.root_linear_velocity[:, 0].masked_fill(self.outcome.diverged, 0.0)
         if self.task.ground.levels > 1:
             log["Curriculum/level"] = self.level.float().mean()
         frequency, third = self.outcome.commands.frequency, max(1, self.num_envs // 3)
@@ -259,6 +263,7 @@ class Environment(VecEnv):
         """Means over the episodes that have just ended; where there are none, the last ones stay."""
         ended = {f"Episode_Reward/{name}": total / self._episode_steps for name, total in self._episode_rewards.items()}
         ended["Episode_End/fallen"] = self.outcome.fallen.float()
+        ended["Episode_End/diverged"] = self.outcome.diverged.float()
         ended["Episode_End/off_course"] = self.outcome.off_course.float()
         number = dones.sum()
         for name, values in ended.items():
@@ -318,6 +323,20 @@ class Environment(VecEnv):
     def _uniform(self, low: float, high: float) -> torch.Tensor:
         """Random numbers in [low, high), shape [num_envs]."""
         return low + (high - low) * torch.rand(self.num_envs, generator=self._generator, device=self.device)
+
+
+_FASTEST, _FASTEST_TURN, _FASTEST_JOINT = 50.0, 100.0, 500.0
+"""Speeds of the pelvis [m/s], [rad/s] and of a joint [rad/s] that no body reaches, falling and stumbling included."""
+
+
+def _diverged(state: RobotState) -> torch.Tensor:
+    """Robots whose simulation has gone wrong, bool, shape [num_envs]; it may go wrong without leaving the numbers."""
+    return (
+        ~state.finite()
+        | (state.root_linear_velocity.norm(dim=1) > _FASTEST)
+        | (state.root_angular_velocity.norm(dim=1) > _FASTEST_TURN)
+        | (state.joint_velocity.abs().amax(dim=1) > _FASTEST_JOINT)
+    )
 
 
 def engine_for(task: Task, name: str, num_envs: int, device: torch.device | str) -> Engine:

@@ -121,12 +121,15 @@ def test_reward_is_the_weighted_sum_of_the_terms(environment: Environment):
         ("root_rotation", [math.sin(math.radians(31)), 0.0, 0.0, math.cos(math.radians(31))]),
         ("root_rotation", [0.0, math.sin(math.radians(31)), 0.0, math.cos(math.radians(31))]),
         ("joint_velocity", [float("nan")] * 28),
+        ("joint_velocity", [0.0] * 27 + [1e4]),
+        ("root_linear_velocity", [1e4, 0.0, 0.0]),
+        ("root_angular_velocity", [0.0, 300.0, 0.0]),
     ],
 )
 def test_a_fall_earns_nothing_and_resets_that_environment_alone(
     environment: Environment, name: str, value: list[float]
 ):
-    """Below 0.55 m, tilted by 62 degrees either way, or not finite."""
+    """Below 0.55 m, tilted by 62 degrees either way, not finite, or faster than any body: 1e4 m/s earned 1001 once."""
     environment.step(rest(environment))
     before = getattr(environment.engine.state, name).clone()
     before[2] = torch.tensor(value)
@@ -134,6 +137,7 @@ def test_a_fall_earns_nothing_and_resets_that_environment_alone(
     observed, reward, dones, extras = environment.step(rest(environment))
     assert environment.outcome.fallen.tolist() == [False, False, True, False, False, False]
     assert dones.tolist() == [0, 0, 1, 0, 0, 0]
+    assert environment.outcome.diverged.any() == name.endswith("velocity")
     assert reward[2] == 0.0
     assert (reward[[0, 1, 3, 4, 5]] > 0).all()
     assert environment.engine.last_reset["mask"].tolist() == environment.outcome.fallen.tolist()  # type: ignore[attr-defined]
