@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -65,6 +66,12 @@ def resolve_learner_device(name: str | None, engine: str, device: torch.device) 
             "--learner-device is auto; give cpu, cuda:0 or mps, or leave it out to learn beside the physics"
         )
     return resolve_device(name)
+
+
+def cpu_cores() -> int:
+    """Cores that this process may use; where the system does not say (macOS, Windows), all there are."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
 def reading_is_free(device: torch.device | str) -> bool:

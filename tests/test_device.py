@@ -7,7 +7,7 @@ import sys
 import pytest
 import torch
 
-from aicpg_newton.device import resolve_device, resolve_learner_device, torch_threads
+from aicpg_newton.device import cpu_cores, resolve_device, resolve_learner_device, torch_threads
 from aicpg_newton.errors import UserError
 
 
@@ -98,3 +98,10 @@ def test_waiting_threads_give_up_early(given: dict[str, str], wanted: str):
     command = [sys.executable, "-c", code]
     result = subprocess.run(command, env={**inherited, **given}, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == wanted
+
+
+def test_cores_are_found_where_the_system_does_not_say_which(monkeypatch: pytest.MonkeyPatch):
+    """As on macOS: then all there are."""
+    assert 1 <= cpu_cores() <= (os.cpu_count() or 1)
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    assert cpu_cores() == (os.cpu_count() or 1)

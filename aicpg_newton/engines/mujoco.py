@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 import torch
 from mujoco.rollout import Rollout
 
+from aicpg_newton.device import cpu_cores
 from aicpg_newton.engines.interface import BodyState, Physics, RobotState
 from aicpg_newton.engines.model import ROOT_DOFS, build, make_solver
 from aicpg_newton.engines.terrain import Terrain
@@ -98,7 +98,7 @@ class MujocoEngine:
         self.physics = physics
         self.terrain = None if terrain is None else terrain.to(self.device)
         self._load(motors, mjcf)
-        threads = min(len(os.sched_getaffinity(0)), num_envs)
+        threads = min(cpu_cores(), num_envs)
         self._rollout = Rollout(nthread=threads)
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
         self._models = [self.model] * num_envs

@@ -12,7 +12,8 @@ import tyro
 
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.files import WholeFile
-from aicpg_newton.motion.acclaim import read_motion, read_skeleton
+from aicpg_newton.gait.cpg import Gait
+from aicpg_newton.motion.acclaim import FRAME_RATE, read_motion, read_skeleton
 from aicpg_newton.motion.cycles import gait_cycle
 from aicpg_newton.motion.figure import save_figure
 from aicpg_newton.motion.fit import fit_pattern_network
@@ -31,6 +32,8 @@ class Fit:
     """Motion of a straight run (.amc)."""
     out: Path
     """Network file to write; the picture goes beside it with the suffix .png."""
+    frame_rate: tuple[float, ...] = ()
+    """Frames per second of both clips, or of the walk and of the run; 120 when not given, as most of CMU's have."""
 
 
 def fit(settings: Fit) -> None:
@@ -42,7 +45,9 @@ def fit(settings: Fit) -> None:
     picture = settings.out.with_suffix(".png")
     _check_output(settings, picture)
     skeleton = read_skeleton(settings.skeleton)
-    motions = {"walk": read_motion(settings.walk, skeleton), "run": read_motion(settings.run, skeleton)}
+    rates = _frame_rates(settings)
+    paths = {"walk": settings.walk, "run": settings.run}
+    motions = {name: read_motion(path, skeleton, rates[name]) for name, path in paths.items()}
     soles = flat_soles(skeleton, motions["walk"])
     cycles = [gait_cycle(retarget(skeleton, motion, soles), name) for name, motion in motions.items()]
     walk, run = (cycle.gait for cycle in cycles)
@@ -53,6 +58,9 @@ def fit(settings: Fit) -> None:
         )
     for gait in (walk, run):
         print(f"{gait.name} {gait.source}: {gait.frequency:.3f} Hz, {gait.speed:.2f} m/s on the humanoid", flush=True)
+    if not settings.frame_rate:
+        for gait in (walk, run):
+            _question(gait)
     network = fit_pattern_network(cycles)
     for gait in network.gaits:
         print(f"{gait.name} fit error: {gait.fit_error:.4f} rad RMS, worst joint {gait.worst_fit_error:.4f} rad")
@@ -60,6 +68,32 @@ def fit(settings: Fit) -> None:
         network.save(network_file)
         save_figure(picture_file, network, cycles)
     print(f"wrote {settings.out} and {picture}")
+
+
+_STRIDES = {"walk": (0.6, 1.3), "run": (1.1, 2.0)}
+"""Stride frequencies of people that walk and run [Hz], from a stroll to a race."""
+
+
+def _frame_rates(settings: Fit) -> dict[str, float]:
+    """Frames per second of each clip [Hz]."""
+    given = settings.frame_rate
+    if len(given) > 2 or not all(1.0 <= rate <= 1000.0 for rate in given):
+        raise UserError(
+            f"--frame-rate is {given}; give one number for both clips, or one for the walk and one for the run"
+        )
+    return {"walk": given[0], "run": given[-1]} if given else {"walk": FRAME_RATE, "run": FRAME_RATE}
+
+
+def _question(gait: Gait) -> None:
+    """Refuse a clip that nobody moves like, as long as its frame rate is only assumed."""
+    low, high = _STRIDES[gait.name]
+    if not low <= gait.frequency <= high:
+        rate = FRAME_RATE / 2 if gait.frequency > high else FRAME_RATE * 2
+        raise UserError(
+            f"{gait.source} has {gait.frequency:.2f} strides a second at {FRAME_RATE:g} frames a second, but people"
+            f" {gait.name} with {low} to {high}: it may have been taken at {rate:g}; give --frame-rate, for the walk"
+            " and for the run where they differ"
+        )
 
 
 def _check_output(settings: Fit, picture: Path) -> None:

@@ -11,12 +11,13 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from aicpg_newton.errors import UserError
 
 FRAME_RATE = 120.0
-"""Frames per second of the CMU clips [Hz]; AMC files do not say."""
+"""Frames per second of a :class:`Motion` [Hz], and of most CMU clips; AMC files do not say, and some have 60."""
 
 INCH = 0.0254
 """Lengths in an ASF are inches once divided by its length unit [m]."""
@@ -203,12 +204,13 @@ def _bone(fields: dict[str, list[str]], unit: float) -> Bone:
     return Bone(fields["name"][0], direction / direction.norm(), length * unit, euler_matrix(axis), dof)
 
 
-def read_motion(path: Path, skeleton: Skeleton) -> Motion:
+def read_motion(path: Path, skeleton: Skeleton, frame_rate: float = FRAME_RATE) -> Motion:
     """Read an AMC file; a last frame that is cut short is left out with a warning.
 
     Args:
         path: The file, fully specified and in degrees, as CMU writes them.
         skeleton: The subject's skeleton; the motion must name its bones.
+        frame_rate: Frames per second of the file [Hz]; another than :data:`FRAME_RATE` is interpolated to that.
 
     Raises:
         UserError: The file is missing or broken (the message gives the line), or does not belong to the skeleton.
@@ -229,7 +231,28 @@ def read_motion(path: Path, skeleton: Skeleton) -> Motion:
                 raise
             warnings.warn(f"{path.name}: the last frame ({words[0]}) is cut short and left out", stacklevel=2)
     values = {name: torch.tensor([frame[name] for frame in frames], dtype=torch.float64) for name in frames[0]}
+    if frame_rate != FRAME_RATE:
+        values = {name: _resampled(each, frame_rate, root=name == ROOT) for name, each in values.items()}
     return Motion(path.name, values)
+
+
+def _resampled(values: torch.Tensor, frame_rate: float, *, root: bool) -> torch.Tensor:
+    """Values at :data:`FRAME_RATE`, on straight lines between those given; shape [frames, channels].
+
+    Args:
+        values: Angles [deg], after three positions in the row of the root.
+        frame_rate: Their rate [Hz].
+        root: Whether they are the root's.
+    """
+    angles = values[:, 3:] if root else values
+    # An angle that jumps by a full turn has not moved.
+    unwrapped = torch.from_numpy(np.unwrap(angles.numpy(), period=360.0, axis=0))
+    steady = torch.cat((values[:, :3], unwrapped), dim=1) if root else unwrapped
+    duration = (len(values) - 1) / frame_rate
+    place = torch.arange(math.floor(duration * FRAME_RATE + 1e-6) + 1, dtype=values.dtype) * (frame_rate / FRAME_RATE)
+    before = place.floor().long().clamp(max=len(values) - 2)
+    share = (place - before).unsqueeze(1)
+    return (1.0 - share) * steady[before] + share * steady[before + 1]
 
 
 def _frame(path: Path, start: int, lines: list[tuple[int, list[str]]], skeleton: Skeleton) -> dict[str, list[float]]:

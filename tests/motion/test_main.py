@@ -43,6 +43,43 @@ def test_it_writes_network_and_picture(settings, monkeypatch, capsys):
     assert sorted(path.suffix for path in settings.out.parent.glob("net*")) == [".png", ".pt"]
 
 
+def sixty(settings, name):
+    """A clip's every second frame, as if taken at 60 frames a second."""
+    lines, kept, out = getattr(settings, name).read_text().splitlines(), True, []
+    for line in lines:
+        if line.strip().isdigit():
+            kept = int(line) % 2 == 1
+            line = str((int(line) + 1) // 2)
+        if kept:
+            out.append(line)
+    path = settings.out.parent / f"{name}_60.amc"
+    path.write_text("\n".join(out) + "\n")
+    return path
+
+
+def test_clips_of_sixty_frames_a_second(settings, monkeypatch, capsys):
+    """Taken for 120 they are questioned; told apart they give the same strides, both or one of them."""
+    monkeypatch.setattr(command, "fit_pattern_network", functools.partial(fit_pattern_network, steps=50))
+    slow = change(settings, walk=sixty(settings, "walk"), run=sixty(settings, "run"))
+    with pytest.raises(
+        UserError, match=r"walk_60 has 1\.80 strides a second .* may have been taken at 60; give --frame-r"
+    ):
+        fit(slow)
+    with pytest.raises(UserError, match=r"run_60 has 2\.70 strides a second"):
+        fit(change(slow, walk=settings.walk))
+    assert not settings.out.exists()
+    for clips in (change(slow, frame_rate=(60.0,)), change(slow, walk=settings.walk, frame_rate=(120.0, 60.0))):
+        fit(clips)
+        walk, run = PatternNetwork.load(settings.out).gaits
+        assert (walk.frequency, run.frequency) == pytest.approx((0.9, 1.35), rel=2e-3)
+    fit(settings)
+    exact = PatternNetwork.load(settings.out).gaits
+    assert (walk.speed, run.speed) == pytest.approx(tuple(gait.speed for gait in exact), rel=0.01)
+    for rate in ((0.0,), (60.0, 60.0, 60.0), (float("nan"),)):
+        with pytest.raises(UserError, match="--frame-rate is"):
+            fit(change(settings, frame_rate=rate))
+
+
 def test_bad_input_is_one_sentence_and_overwrites_nothing(settings):
     """Every mistake is a UserError before anything is written."""
     settings.out.write_text("precious")
