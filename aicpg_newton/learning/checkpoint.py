@@ -119,6 +119,18 @@ def shipped(task: str) -> Path:
     return path
 
 
+def best_for(task: str) -> Path:
+    """The shipped network that does best on a task: the robust one, which goes on all of them, if it is there.
+
+    Raises:
+        UserError: None ships.
+    """
+    try:
+        return shipped("robust")
+    except UserError:
+        return shipped(task)
+
+
 def all_of(folder: Path) -> list[Path]:
     """The checkpoints of a run folder, oldest first.
 

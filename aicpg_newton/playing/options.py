@@ -21,7 +21,7 @@ class PlayOptions:
     """What to play and where to see it."""
 
     checkpoint: Path | None = None
-    """Trained network: a model_*.pt or a run folder; the one that ships for the task when not given."""
+    """Trained network: a model_*.pt or a run folder; the best of those that ship when not given."""
     task: str | None = None
     """Task to play on, flat, uneven or robust; by default the checkpoint's own, and flat without a checkpoint."""
     terrain_seed: int | None = None

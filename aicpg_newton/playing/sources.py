@@ -56,13 +56,13 @@ class Basis:
         Raises:
             UserError: A checkpoint cannot be read, or there is no terrain to have a seed.
         """
-        path = options.checkpoint
+        path, own_ground = options.checkpoint, options.task is None
         if path is None and options.agent == "policy":
-            path = checkpoint.shipped(task.name)
+            path, own_ground = checkpoint.best_for(task.name), False
         if path is None:
             return cls(_on_ground(task, options.terrain_seed), PatternNetwork.load(DEFAULT_PATTERN), None)
         trained = Trained.read(path)
-        own = trained.task if options.task is None else on_task(trained.task, task)
+        own = trained.task if own_ground else on_task(trained.task, task)
         return cls(_on_ground(own, options.terrain_seed), trained.pattern, trained.content)
 
 
