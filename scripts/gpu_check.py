@@ -45,9 +45,10 @@ def main(options: Options) -> None:
         UserError: The device is not there, or the part found something wrong.
     """
     device = resolve_device(options.device)
-    {"versions": versions, "captured": captured, "parity": parity}.get(
-        options.part, lambda device: profile(device, options.num_envs)
-    )(device)
+    if options.part == "profile":
+        profile(device, options.num_envs)
+    else:
+        {"versions": versions, "captured": captured, "parity": parity}[options.part](device)
 
 
 def versions(device: torch.device) -> None:

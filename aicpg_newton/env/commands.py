@@ -42,11 +42,13 @@ class FrequencyChanges:
         self._lowest, self._span = lowest, highest - lowest
         self._due, self._rate, self._jumps = CONTROL_DT / interval, rate, jumps
         self._generator = generator
-        self._target: torch.Tensor | None = None
-        self._step = torch.zeros(())
+
+    def begin(self, frequency: torch.Tensor) -> None:
+        """All robots keep these stride frequencies [Hz], shape [num_envs], until their first change."""
+        self._target, self._step = frequency, torch.zeros_like(frequency)
 
     def next(self, frequency: torch.Tensor, begun: torch.Tensor) -> torch.Tensor:
-        """Stride frequencies of the next step [Hz].
+        """Stride frequencies of the next step [Hz]; :meth:`begin` comes first.
 
         Args:
             frequency: Those of this step [Hz], shape [num_envs].
@@ -55,8 +57,6 @@ class FrequencyChanges:
         chance, where, how_fast, at_once = torch.rand(
             4, len(frequency), generator=self._generator, device=frequency.device
         )
-        if self._target is None:
-            self._target, self._step = frequency, torch.zeros_like(frequency)
         due = (chance < self._due) & ~begun
         rate = self._rate * (0.2 + 0.8 * how_fast)
         step = torch.where(at_once < self._jumps, self._span, CONTROL_DT * rate)

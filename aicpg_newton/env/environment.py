@@ -79,8 +79,6 @@ class Environment(VecEnv):
         """What the robots are told; :meth:`command` changes it."""
         self._commands_to_come: Commands | None = None
         self._seen: View | None = None
-        self._own_frequency = self.commands.frequency
-        """Stride frequency that each robot begins an episode with [Hz], shape [num_envs]."""
         changes = task.frequencies
         self._changes = None
         if changes.change_interval > 0.0:
@@ -184,12 +182,12 @@ class Environment(VecEnv):
         """The robots as they are now; made anew only after they, their commands or their targets have changed."""
         if self._seen is not None:
             return self._seen
-        state, actuation = self.engine.state, self.actuation
+        state, terrain, actuation = self.engine.state, self.engine.terrain, self.actuation
         self._seen = View(
             state=state,
-            ground_height=self._ground_height(state.root_position),
+            ground_height=self._flat if terrain is None else terrain.height(state.root_position),
             commands=self.commands,
-            terrain=self.engine.terrain,
+            terrain=terrain,
             motors=self.motors,
             torque=actuation.torque,
             target=actuation.target,
@@ -226,9 +224,9 @@ class Environment(VecEnv):
             timed_out=timed_out & ~failed,
         )
 
-    def _ground_height(self, point: torch.Tensor) -> torch.Tensor:
-        """World height of the ground below points [m], shape [num_envs, 3] to [num_envs]."""
-        return self._flat if self.engine.terrain is None else self.engine.terrain.height(point)
+    def _seen_to_be_none(self, mask: torch.Tensor) -> bool:
+        """Whether a look that costs no waiting shows that no environment is in the mask: its work can be left out."""
+        return reading_is_free(self.device) and not bool(mask.any())
 
     def _move_between_levels(self, failed: torch.Tensor, lasted: torch.Tensor) -> None:
         """Curriculum: robots that lasted half an episode or more go on to rougher ground, robots that failed go back.
@@ -247,7 +245,7 @@ class Environment(VecEnv):
         """Episode means of the reward terms where an episode ended, and the speed of the slow and the fast third."""
         for name, term in self.outcome.reward_terms.items():
             self._episode_rewards[name] = self._episode_rewards.get(name, 0.0) + term
-        if not (reading_is_free(self.device) and not dones.any()):
+        if not self._seen_to_be_none(dones):
             self._note_ended(dones)
         log = dict(self._episode_means)
         speed = self.outcome.state.root_linear_velocity[:, 0].masked_fill(self.outcome.diverged, 0.0)
@@ -287,6 +285,9 @@ class Environment(VecEnv):
         """Start new episodes in all environments, at these stride frequencies [Hz], shape [num_envs]."""
         self.commands, self._commands_to_come = replace(self.commands, frequency=frequency), None
         self._own_frequency = frequency
+        """Stride frequency that each robot begins an episode with [Hz], shape [num_envs]."""
+        if self._changes is not None:
+            self._changes.begin(frequency)
         self._starts.draw(frequency)
         self.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
 
@@ -297,7 +298,7 @@ class Environment(VecEnv):
         Args:
             mask: Environments to reset, bool, shape [num_envs].
         """
-        if reading_is_free(self.device) and not mask.any():
+        if self._seen_to_be_none(mask):
             return
         self.phase = torch.where(mask, self._starts.phase, self.phase)
         self.actuation.follow(self.phase, self.commands)

@@ -82,7 +82,8 @@ class Runner(OnPolicyRunner):
 
         def checked() -> dict[str, float]:
             self.env.check()
-            self.logger.ep_extras.append({"Learning/rate": torch.tensor(self.alg.learning_rate)})
+            if self.logger.writer is not None:  # nobody else empties this list
+                self.logger.ep_extras.append({"Learning/rate": torch.tensor(self.alg.learning_rate)})
             return update()
 
         return checked

@@ -129,7 +129,7 @@ class WalkingTest:
     def __init__(self, task: Task, engine: str, pattern: PatternNetwork, device: torch.device) -> None:
         self._steps = round(DURATION * CONTROL_RATE)
         endless = replace(task.termination, episode_steps=self._steps + 1)
-        self._task = replace(task, termination=endless)
+        self._task = replace(task.undisturbed(), termination=endless)
         self._engine = engine_for(self._task, engine, ROBOTS * len(FREQUENCIES), device)
         self._pattern = pattern
 

@@ -368,6 +368,21 @@ def test_frequencies_change_at_random_times(puppet, pattern: PatternNetwork):
     assert abs(float(torch.corrcoef(torch.stack((own, last)))[0, 1])) < 0.4
 
 
+def test_a_restart_forgets_where_frequencies_were_going(puppet, pattern: PatternNetwork):
+    """Robots keep the frequencies of the restart until their next change."""
+    task = get_task("flat")
+    task.frequencies = Frequencies(minimum=0.6, maximum=1.4, change_interval=1e-3, change_rate=0.3)
+    environment = Environment(task, puppet(4), pattern)
+    environment.step(torch.zeros(4, 28))
+    changes = environment._changes
+    assert changes is not None
+    changes._due = 0.0  # all are on their way by now, and nothing new is drawn
+    environment.restart(torch.full((4,), 1.0))
+    for _ in range(5):
+        environment.step(torch.zeros(4, 28))
+    assert environment.commands.frequency.tolist() == pytest.approx([1.0] * 4)
+
+
 def test_undisturbed_frequencies_stay(puppet, pattern: PatternNetwork):
     """For tests and play: nobody pushes and f is what it is told."""
     task = get_task("robust").undisturbed()

@@ -81,3 +81,14 @@ def test_the_shipped_network_walks_and_the_cpg_alone_does_not(pattern: PatternNe
     assert min(standing) < walking.SHARE
     assert 0.2 < lasted < 3.0
     assert test(runner) == (standing, lasted)
+
+
+def test_robots_are_tested_undisturbed(pattern: PatternNetwork):
+    """Of a task that pushes and changes f as well: they are told one frequency, and keep it."""
+    task = small_task()
+    task.pushes.force, task.frequencies.change_interval, task.frequencies.jumps = 200.0, 0.1, 1.0
+    environment = walking.WalkingTest(task, "mujoco", pattern, CPU).environment()
+    for _ in range(20):
+        environment.step(torch.zeros(environment.num_envs, 28))
+    assert environment.task.pushes.force == 0.0
+    assert environment.commands.frequency.unique().tolist() == pytest.approx(list(walking.FREQUENCIES))
