@@ -22,6 +22,7 @@ from aicpg_newton.device import finish, resolve_device, resolve_learner_device, 
 from aicpg_newton.engines import ENGINES, Engine, engine_name
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.methods import on_task
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.files import write_text
@@ -29,7 +30,6 @@ from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import time_to_walk as walking
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.viewing.output import writable_path
-from tasks import get_task
 
 _BURST = 20
 """Control steps timed in one go."""

@@ -15,6 +15,7 @@ from pathlib import Path
 import tyro
 
 from aicpg_newton.env.methods import get_method, run_name
+from aicpg_newton.env.registry import get_task, task_from_dict
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.evaluation import results
@@ -25,7 +26,6 @@ from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.files import only_one
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.training import CONFIG_NAME, RunOptions, train
-from tasks import get_task, task_from_dict
 
 PAPER = (
     "ai-cpg",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable
 
@@ -11,7 +12,13 @@ class UserError(Exception):
 
 
 def run_command(command: Callable[[], object]) -> None:
-    """Run a command line; a :class:`UserError` becomes one line on stderr and exit status 2, without a traceback."""
+    """Run a command line; a :class:`UserError` becomes one line on stderr and exit status 2, without a traceback.
+
+    Letters that the terminal does not have are spelled out, as those of a path in another encoding.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         command()
     except UserError as error:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import tyro
 
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.controllers import Controller, cpg_alone, trained
@@ -15,7 +16,6 @@ from aicpg_newton.evaluation.protocols import PROTOCOLS, TERRAIN_SEEDS
 from aicpg_newton.evaluation.run import Laboratory, evaluate
 from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.learning import checkpoint
-from tasks import get_task
 
 
 @dataclass(kw_only=True)
@@ -89,5 +89,10 @@ def _controllers(options: EvaluateOptions) -> list[Controller]:
     return [trained(checkpoint.shipped(get_task(options.task or "flat").name))]
 
 
-if __name__ == "__main__":
+def command() -> None:
+    """What ``python -m aicpg_newton.evaluate`` and ``aicpg-evaluate`` do."""
     run_command(lambda: main(tyro.cli(EvaluateOptions, description=__doc__)))
+
+
+if __name__ == "__main__":
+    command()

@@ -35,7 +35,7 @@ class WholeFile:
         try:
             _to_disk(self.temporary)
             os.replace(self.temporary, self.path)
-            _to_disk(self.path.parent)
+            _names_to_disk(self.path.parent)
         except OSError as error:
             self.drop()
             raise self._sorry(error) from error
@@ -76,7 +76,7 @@ def only_one(path: Path) -> Iterator[bool]:
     except ImportError:
         yield True
         return
-    with path.open("w") as file:
+    with path.open("w", encoding="utf-8") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -96,8 +96,16 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _to_disk(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
+    """Wait until a file's content is on the disk."""
+    with path.open("rb+") as file:  # Windows waits for files that are open for writing alone
+        os.fsync(file.fileno())
+
+
+def _names_to_disk(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk, where the system can open folders (Windows cannot)."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
     finally:

@@ -12,12 +12,12 @@ import tyro
 import yaml
 
 from aicpg_newton.env.methods import run_name
+from aicpg_newton.env.registry import task_from_dict
 from aicpg_newton.env.stored import plain, to_dict
 from aicpg_newton.errors import run_command
 from aicpg_newton.files import write_text
 from aicpg_newton.learning import checkpoint
-from aicpg_newton.robot.humanoid import ASSETS
-from tasks import task_from_dict
+from aicpg_newton.places import ASSETS
 
 
 @dataclass(kw_only=True)

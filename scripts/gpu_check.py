@@ -18,10 +18,10 @@ from aicpg_newton.device import finish, resolve_device
 from aicpg_newton.engines import BodyState
 from aicpg_newton.engines.terrain import Ground
 from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.gait.cpg import PatternNetwork
-from tasks import get_task
 
 GROUNDS = {"plane": Ground(), "terrain": Ground(height_range=0.1, length=24.0, width=16.0)}
 WORLDS = 16

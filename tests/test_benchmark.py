@@ -11,9 +11,9 @@ import pytest
 
 from aicpg_newton import benchmark as module
 from aicpg_newton.benchmark import BenchmarkOptions, Rates, benchmark, table, time_to_walk, walking_table
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.time_to_walk import WalkingTime
-from tasks import get_task
 
 
 def quick(**options: Any) -> BenchmarkOptions:

@@ -10,13 +10,13 @@ import pytest
 from aicpg_newton import compare
 from aicpg_newton.compare import PAPER, CompareOptions, trainings
 from aicpg_newton.env.methods import METHODS, condition
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.run import identity_of
 from aicpg_newton.files import only_one
 from aicpg_newton.learning import checkpoint, runner
-from tasks import get_task
 
 
 @pytest.fixture

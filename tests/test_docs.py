@@ -21,7 +21,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_to_files_and_headings(page: Path):
     """Of this repository; those of the web are not tried."""
-    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         if target.startswith("http"):
             continue
         path, _, heading = target.partition("#")
@@ -35,7 +35,7 @@ def test_links_lead_to_files_and_headings(page: Path):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_named_files_are_there(page: Path):
     """Paths of the code, as pages name them."""
-    for path in re.findall(r"`((?:aicpg_newton|tests|tasks|assets)/[\w/.]*)`", page.read_text()):
+    for path in re.findall(r"`((?:aicpg_newton|tests|tasks|assets)/[\w/.]*)`", page.read_text(encoding="utf-8")):
         assert (ROOT / path).exists() or path == "tasks/quiet.py", path
 
 

@@ -7,13 +7,13 @@ import pytest
 import torch
 import yaml
 
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.stored import to_dict
 from aicpg_newton.env.task import Learning
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.publish import PublishOptions, publish
 from aicpg_newton.robot import humanoid
-from tasks import get_task
 
 
 def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):

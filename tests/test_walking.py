@@ -10,9 +10,9 @@ from aicpg_newton.engines import Engine, Physics, make_engine
 from aicpg_newton.engines.newton import NewtonEngine
 from aicpg_newton.env.actuation import PatternActuation
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.robot import humanoid
-from tasks import get_task
 
 CPU = torch.device("cpu")
 

@@ -16,7 +16,8 @@ import torch
 from torch import nn
 
 from aicpg_newton.errors import UserError
-from aicpg_newton.robot.humanoid import ASSETS, CONTROL_DT, CONTROL_RATE, JOINT_NAMES, NUM_JOINTS
+from aicpg_newton.places import ASSETS
+from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE, JOINT_NAMES, NUM_JOINTS
 
 WINDOW = 50
 """Number of phase oscillators, i in Eq. 2; a control step apart."""

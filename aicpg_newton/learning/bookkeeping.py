@@ -6,6 +6,7 @@ import datetime
 import subprocess
 from pathlib import Path
 
+from aicpg_newton import __version__, places
 from aicpg_newton.errors import UserError
 
 _HERE = Path(__file__).resolve().parent
@@ -59,7 +60,12 @@ def new_folder(parent: Path) -> Path:
 
 
 def git_revision() -> tuple[str, str]:
-    """Commit of this checkout, with ``+`` where files differ from it, and why it is not known, where it is not."""
+    """Commit of this checkout, with ``+`` where files differ from it, and why it is not known, where it is not.
+
+    An installed wheel has a version in its place, though a repository of something else may lie around it.
+    """
+    if places.INSTALLED:
+        return f"version {__version__}", ""
     commit, reason = _git("rev-parse", "HEAD")
     if reason:
         return "unknown", reason
@@ -69,7 +75,7 @@ def git_revision() -> tuple[str, str]:
 
 def store_changes(folder: Path) -> None:
     """Write the uncommitted changes of the code into the folder's ``git/changes.diff``, in whatever encoding."""
-    changes, reason = _git("diff", "HEAD")
+    changes, reason = (b"", "") if places.INSTALLED else _git("diff", "HEAD")
     if reason or not changes:
         return
     try:

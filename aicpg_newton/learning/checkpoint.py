@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from aicpg_newton import places
 from aicpg_newton.errors import UserError
 from aicpg_newton.files import WholeFile
 from aicpg_newton.robot import humanoid
@@ -113,7 +114,7 @@ def shipped(task: str) -> Path:
     Raises:
         UserError: There is none.
     """
-    path = humanoid.ASSETS / "policies" / f"{task}.pt"
+    path = places.ASSETS / "policies" / f"{task}.pt"
     if not path.is_file():
         raise UserError(f"no trained policy ships for task {task!r}; train one and give --checkpoint")
     return path

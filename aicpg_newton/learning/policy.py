@@ -12,11 +12,11 @@ from typing import Any
 import torch
 
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.registry import task_from_dict
 from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.runner import Runner
-from tasks import task_from_dict
 
 Agent = Callable[[torch.Tensor], torch.Tensor]
 """Observations, shape [num_envs, ...], to actions, shape [num_envs, 28]."""

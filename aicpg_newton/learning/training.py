@@ -16,19 +16,21 @@ from typing import Any
 import torch
 import yaml
 
+from aicpg_newton import places
 from aicpg_newton.device import resolve_device, resolve_learner_device
 from aicpg_newton.engines import engine_name
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.methods import run_name
+from aicpg_newton.env.registry import task_from_dict
 from aicpg_newton.env.stored import plain, to_dict
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
+from aicpg_newton.files import write_text
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.bookkeeping import claim, git_revision, new_folder, release, store_changes
 from aicpg_newton.learning.runner import Runner, TimeIsUp
 from aicpg_newton.robot import humanoid
-from tasks import task_from_dict
 
 CONFIG_NAME = "config.yaml"
 
@@ -174,27 +176,27 @@ def _train_in(
         runner.restore(previous)
         runner.obey(task.learning, task_from_dict(previous["task"], str(options.resume)).learning)
         print(f"Resumed {options.resume} after {done} iterations.")
-    try:
-        name = CONFIG_NAME if not (folder / CONFIG_NAME).exists() else f"config_from_iteration_{done}.yaml"
-        _write_config(folder / name, task, run)
-    except OSError as error:
-        raise UserError(f"cannot write into {folder} ({error.strerror}); give --run-dir another one") from error
+    name = CONFIG_NAME if not (folder / CONFIG_NAME).exists() else f"config_from_iteration_{done}.yaml"
+    _write_config(folder / name, task, run)
     store_changes(folder)
+    resume = f"{places.command('train')} --resume {folder}"
     try:
         with signals_that_interrupt():
             runner.learn(options.max_iterations - done, init_at_random_ep_len=True)
     except TimeIsUp:
-        print(f"The {options.max_minutes:g} minutes are over; continue with:  python train.py --resume {folder}")
+        print(f"The {options.max_minutes:g} minutes are over; continue with:  {resume}")
     except KeyboardInterrupt:
         if runner.current_learning_iteration > done:
             runner.save(str(folder / f"model_{runner.current_learning_iteration}.pt"))
-            print(f"\nStopped; continue with:  python train.py --resume {folder}")
+            print(f"\nStopped; continue with:  {resume}")
         raise
     last = checkpoint.latest(folder)
     overflows = engine.overflows()
     if overflows:
         print(f"Contact or constraint buffers overflowed in {overflows} environments; raise physics.max-contacts.")
-    print(f"Done: {last}\nSee it:  python play.py --checkpoint {last}\nCurves:  tensorboard --logdir {folder}")
+    print(
+        f"Done: {last}\nSee it:  {places.command('play')} --checkpoint {last}\nCurves:  tensorboard --logdir {folder}"
+    )
     return last
 
 
@@ -261,4 +263,4 @@ def _title(device: torch.device) -> str:
 def _write_config(path: Path, task: Task, run: dict[str, Any]) -> None:
     """Every setting as it was used."""
     content = {"run": run, "humanoid": humanoid.version(), "task": plain(to_dict(task))}
-    path.write_text(yaml.safe_dump(content, sort_keys=False))
+    write_text(path, yaml.safe_dump(content, sort_keys=False))

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import torch
 
 from aicpg_newton.errors import UserError
+from aicpg_newton.places import ASSETS
 
-ASSETS = Path(__file__).resolve().parents[2] / "assets"
 MJCF_PATH = ASSETS / "humanoid.xml"
 
 TOTAL_MASS = 48.9

@@ -9,9 +9,9 @@ from aicpg_newton.engines import make_engine
 from aicpg_newton.engines.newton import NewtonEngine
 from aicpg_newton.engines.terrain import Ground
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.robot import humanoid
-from tasks import get_task
 
 NUM_ENVS = 8
 

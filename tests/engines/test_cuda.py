@@ -9,10 +9,10 @@ import torch
 from aicpg_newton.engines import BodyState, Physics, make_engine
 from aicpg_newton.engines.terrain import Ground
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.training import RunOptions, train
 from aicpg_newton.robot import humanoid
-from tasks import get_task
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 

@@ -9,12 +9,12 @@ import torch
 from aicpg_newton.engines import make_engine
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.methods import METHODS, get_method
+from aicpg_newton.env.registry import TASKS, get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.robot import humanoid, mirror
 from aicpg_newton.robot.humanoid import JOINT_NAMES, NUM_JOINTS, joint_index
 from aicpg_newton.robot.kinematics import skeleton, sole_heights
-from tasks import TASKS, get_task
 
 
 @pytest.fixture

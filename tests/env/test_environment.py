@@ -9,6 +9,7 @@ from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.env import environment as module
 from aicpg_newton.env.actuation import PatternActuation
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Frequencies
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
@@ -16,7 +17,6 @@ from aicpg_newton.gait.poses import gait_pose
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.robot import humanoid, rotations
 from aicpg_newton.robot.kinematics import sole_corners, sole_heights
-from tasks import get_task
 
 EVERYTHING = ("root_position", "root_rotation", "root_linear_velocity", "root_angular_velocity", "joint_velocity")
 

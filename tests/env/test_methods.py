@@ -4,8 +4,8 @@ import pytest
 
 from aicpg_newton.env.actuation import Actuation
 from aicpg_newton.env.methods import METHODS, get_method, with_method
+from aicpg_newton.env.registry import TASKS, get_task
 from aicpg_newton.errors import UserError
-from tasks import TASKS, get_task
 
 
 def test_an_unknown_method_is_named():

@@ -10,10 +10,10 @@ from aicpg_newton.engines import RobotState
 from aicpg_newton.env import observations
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.observations import BODY, PATTERN, Block
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.robot import humanoid, kinematics, rotations
 from aicpg_newton.robot.mirror import JOINTS, LINKS, VECTOR
-from tasks import get_task
 
 BLOCKS = (*BODY, *PATTERN)
 MIRROR = observations.mirror_of(BLOCKS)

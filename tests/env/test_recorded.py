@@ -14,10 +14,10 @@ from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.env.commands import Commands
 from aicpg_newton.env.methods import METHODS, get_method
 from aicpg_newton.env.observations import observe
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.style import style_state
 from aicpg_newton.env.task import SpeedTask
 from aicpg_newton.env.view import View
-from tasks import get_task
 
 
 @pytest.mark.parametrize("name", METHODS)

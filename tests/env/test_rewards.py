@@ -8,11 +8,11 @@ import torch
 
 from aicpg_newton.env import rewards
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.rewards import RewardTerm
 from aicpg_newton.env.view import View
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot import humanoid, rotations
-from tasks import get_task
 
 
 def test_head_height_and_survival(view_of):

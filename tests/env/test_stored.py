@@ -7,13 +7,13 @@ import torch
 import yaml
 
 from aicpg_newton.env.methods import METHODS, get_method
+from aicpg_newton.env.registry import TASKS, get_task, task_from_dict
 from aicpg_newton.env.rewards import RewardTerm
 from aicpg_newton.env.stored import plain, to_dict
 from aicpg_newton.env.task import ImitationTask, SpeedTask
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
-from aicpg_newton.robot.humanoid import ASSETS
-from tasks import TASKS, get_task, task_from_dict
+from aicpg_newton.places import ASSETS
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -8,10 +8,10 @@ from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.env import environment as module
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.methods import METHODS
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.starts import Starts
 from aicpg_newton.env.task import Frequencies, Pushes
 from aicpg_newton.gait.cpg import PatternNetwork
-from tasks import get_task
 
 WAITING = ("_local_scalar_dense", "nonzero", "masked_select", "unique", "lift_fresh", "is_nonzero", "equal", "bincount")
 """Operators that read a number or a size back from the device, or send what was made on the host."""

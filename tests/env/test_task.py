@@ -5,8 +5,8 @@ import typing
 
 import pytest
 
+from aicpg_newton.env.registry import TASKS, get_task
 from aicpg_newton.errors import UserError
-from tasks import TASKS, get_task
 
 
 @pytest.mark.parametrize("name", TASKS)

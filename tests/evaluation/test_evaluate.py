@@ -10,6 +10,8 @@ import pytest
 import torch
 
 from aicpg_newton import evaluate as command_line
+from aicpg_newton import places
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import ReflexTask
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluate import EvaluateOptions, main
@@ -19,8 +21,6 @@ from aicpg_newton.evaluation.controllers import cpg_alone, trained
 from aicpg_newton.evaluation.protocols import PROTOCOLS
 from aicpg_newton.evaluation.run import Laboratory, evaluate
 from aicpg_newton.learning.training import RunOptions, train
-from aicpg_newton.robot import humanoid
-from tasks import get_task
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -153,7 +153,7 @@ def test_bad_options(changes: dict, message: str, tmp_path: Path):
 
 def test_no_shipped_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Without one, the user is told what to give."""
-    monkeypatch.setattr(humanoid, "ASSETS", tmp_path)
+    monkeypatch.setattr(places, "ASSETS", tmp_path)
     with pytest.raises(UserError, match="no trained policy ships for task 'flat'; train one and give --checkpoint"):
         main(EvaluateOptions(device="cpu", out=tmp_path / "out"))
 

@@ -10,6 +10,7 @@ import torch
 from aicpg_newton.engines import Physics, make_engine
 from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.evaluation import summaries, transition_summaries
 from aicpg_newton.evaluation.protocols import (
     DISTURBANCE,
@@ -29,7 +30,6 @@ from aicpg_newton.evaluation.trajectories import Trajectories, record
 from aicpg_newton.playing.rollout import share_out
 from aicpg_newton.robot.humanoid import motors
 from aicpg_newton.robot.kinematics import sole_heights
-from tasks import get_task
 
 SOURCE = Source("AI-CPG", 3, 100)
 

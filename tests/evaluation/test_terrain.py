@@ -11,6 +11,7 @@ import torch
 from aicpg_newton import evaluate as command_line
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluate import EvaluateOptions, main
@@ -22,7 +23,6 @@ from aicpg_newton.evaluation.summaries import Source
 from aicpg_newton.evaluation.trajectories import record
 from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.learning.runner import Runner
-from tasks import get_task
 
 
 @pytest.fixture

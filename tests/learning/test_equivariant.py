@@ -9,6 +9,7 @@ from tensordict import TensorDict
 
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.observations import BODY, PATTERN, mirror_of
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
@@ -22,7 +23,6 @@ from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.settings import runner_settings
 from aicpg_newton.learning.training import RunOptions, train
 from aicpg_newton.robot.mirror import JOINTS
-from tasks import get_task
 
 MIRROR = mirror_of((*BODY, *PATTERN))
 

@@ -9,8 +9,8 @@ from tensordict import TensorDict
 from torch._subclasses.fake_tensor import FakeTensorMode
 
 from aicpg_newton.env.observations import BODY, PATTERN
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.learning.runner import Runner
-from tasks import get_task
 
 OTHER, CPU = torch.device("meta"), torch.device("cpu")
 """Torch's device without memory stands for a GPU: a build of torch for CPUs takes no part of a GPU's name seriously."""

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from aicpg_newton.env.environment import Environment
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.ppo import BoundedPPO, MirrorImages, Runaway
 from aicpg_newton.learning.runner import Runner
-from tasks import get_task
 
 
 def algorithm(puppet, pattern: PatternNetwork, **learning: Any) -> tuple[Runner, BoundedPPO]:

@@ -5,12 +5,12 @@ import time
 import pytest
 import torch
 
+from aicpg_newton.env.registry import get_task, task_from_dict
 from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning import time_to_walk as walking
 from aicpg_newton.learning.runner import Runner
-from tasks import get_task, task_from_dict
 
 CPU = torch.device("cpu")
 

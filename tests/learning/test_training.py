@@ -16,6 +16,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from aicpg_newton.device import torch_threads
 from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import ImitationTask, Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
@@ -24,7 +25,6 @@ from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.training import RunOptions, task_of, train, with_networks_of
 from aicpg_newton.robot import humanoid
-from tasks import get_task
 
 
 def small_task(method: str = "ai-cpg") -> Task:

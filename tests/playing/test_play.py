@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 
 from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
@@ -20,7 +21,6 @@ from aicpg_newton.playing.options import PlayOptions
 from aicpg_newton.playing.play import play
 from aicpg_newton.playing.rollout import Tally, kinematic_frames, physical_frames
 from aicpg_newton.viewing.filmstrip import TILE_HEIGHT
-from tasks import get_task
 
 
 def small(name: str, method: str = "ai-cpg") -> Task:
@@ -252,7 +252,7 @@ def test_mocap_walks_on_a_plane_and_says_so(capsys: pytest.CaptureFixture, tmp_p
 
 def test_a_task_without_a_shipped_network(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """One sentence says what to give."""
-    monkeypatch.setattr(checkpoint.humanoid, "ASSETS", tmp_path)
+    monkeypatch.setattr(checkpoint.places, "ASSETS", tmp_path)
     with pytest.raises(UserError, match="no trained policy ships for task 'uneven'"):
         play(PlayOptions(task="uneven", device="cpu"), get_task("uneven"))
 
