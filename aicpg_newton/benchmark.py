@@ -29,6 +29,7 @@ from aicpg_newton.files import write_text
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import time_to_walk as walking
 from aicpg_newton.learning.runner import Runner
+from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, NOT_NEGATIVE, POSITIVE, SEED, check_ranges
 from aicpg_newton.viewing.output import writable_path
 
 _BURST = 20
@@ -44,24 +45,24 @@ class BenchmarkOptions(Generic[_Settings]):
 
     tasks: tuple[str, ...] = ("flat", "uneven")
     """flat, uneven or both, to see side by side what their ground costs."""
-    num_envs: tuple[int, ...] = (256,)
+    num_envs: Annotated[tuple[int, ...], ENVIRONMENTS] = (256,)
     """Numbers of environments to measure."""
     engines: tuple[str, ...] = ()
     """Engines to measure; those that run on the device when none is given."""
     device: str = "auto"
     """auto, cpu or cuda:N."""
-    seconds: float = 5.0
+    seconds: Annotated[float, POSITIVE] = 5.0
     """Time to measure each rate for [s]."""
-    iterations: int = 8
+    iterations: Annotated[int, NOT_NEGATIVE] = 8
     """Learning iterations to time; 0 leaves learning out."""
     learner_device: str | None = None
     """Device of the networks beside physics on the CPU (engine mujoco): cuda:N or mps."""
     time_to_walk: bool = False
     """Measure instead how long a training of the first task on the first engine takes until it walks and runs: from
     scratch until 95 % of 64 robots each stay up for 20 s at 0.9 and at 1.3 Hz."""
-    seeds: tuple[int, ...] = (0,)
+    seeds: Annotated[tuple[int, ...], SEED] = (0,)
     """Seeds of the trainings, one after the other."""
-    max_samples: int = 8_000_000
+    max_samples: Annotated[int, AT_LEAST_ONE] = 8_000_000
     """Samples after which such a training is given up."""
     json: Path | None = None
     """Write what was measured to this file as well: a list with an object for each training, or for each row."""
@@ -260,14 +261,10 @@ def _check(options: BenchmarkOptions) -> tuple[torch.device, str]:
         raise UserError("--tasks is empty; give at least one")
     for name in options.tasks:
         get_task(name)
-    if not options.num_envs or min(options.num_envs) < 1:
-        raise UserError(f"--num-envs is {options.num_envs}; give positive numbers")
-    if not 0.0 < options.seconds < float("inf"):
-        raise UserError(f"--seconds is {options.seconds}; give a positive number")
-    if options.max_samples < 1:
-        raise UserError(f"--max-samples is {options.max_samples}; give a positive number")
-    if not options.seeds:
-        raise UserError("--seeds is empty; give at least one")
+    check_ranges(options, "--")
+    for name in ("num_envs", "seeds"):
+        if not getattr(options, name):
+            raise UserError(f"--{name.replace('_', '-')} is empty; give at least one")
     if options.json is not None:
         writable_path(options.json, ".json")
     options.settings.validate()
@@ -295,6 +292,7 @@ def main() -> None:
     defaults = BenchmarkOptions(settings=get_task(tasks[0]))
     config = (tyro.conf.OmitSubcommandPrefixes,)
     options = tyro.cli(BenchmarkOptions[type(defaults.settings)], description=__doc__, default=defaults, config=config)
+    options.settings.refuse_idle_changes(defaults.settings)
     if options.time_to_walk:
         time_to_walk(options)
     else:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -26,6 +27,7 @@ from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.files import only_one
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.training import CONFIG_NAME, RunOptions, train
+from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, POSITIVE, SEED, check_ranges
 
 PAPER = (
     "ai-cpg",
@@ -45,17 +47,17 @@ class CompareOptions:
     """flat or uneven."""
     methods: tuple[str, ...] = PAPER
     """Methods, with the condition after a colon where there is one: ai-cpg ppo:1.5 amp:walk."""
-    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    seeds: Annotated[tuple[int, ...], SEED] = (0, 1, 2, 3, 4)
     """Seeds of each (paper: five)."""
-    max_iterations: int = 3000
+    max_iterations: Annotated[int, AT_LEAST_ONE] = 3000
     """Iterations of each training (paper, Sec. III-A)."""
-    max_minutes: float | None = None
+    max_minutes: Annotated[float | None, POSITIVE] = None
     """Time for everything but the evaluation [min]; the same command goes on from there."""
-    save_interval: int = 100
+    save_interval: Annotated[int, AT_LEAST_ONE] = 100
     """Iterations between checkpoints (paper, Sec. III-A)."""
-    num_envs: int | None = None
+    num_envs: Annotated[int | None, ENVIRONMENTS] = None
     """Number of environments in training; 8192 on CUDA and 256 on a CPU when not given."""
-    test_envs: int = 64
+    test_envs: Annotated[int, ENVIRONMENTS] = 64
     """Number of environments in the evaluation."""
     device: str = "auto"
     """auto, cpu or cuda:N."""
@@ -112,10 +114,7 @@ def compare(options: CompareOptions) -> bool:
     Raises:
         UserError: An option cannot be met, or the evaluation in the folder is one of other trainings.
     """
-    if options.max_iterations < 1:
-        raise UserError(f"--max-iterations is {options.max_iterations}; give a positive number")
-    if options.max_minutes is not None and not options.max_minutes > 0.0:
-        raise UserError(f"--max-minutes is {options.max_minutes}; give a positive number")
+    check_ranges(options, "--")
     everything = trainings(options)
     groups = max(each.groups for each in (SWEEP, DISTURBANCE))
     if options.test_envs < groups and any(get_method(each.task.method).follows_frequency for each in everything):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -16,6 +16,7 @@ from aicpg_newton.evaluation.protocols import PROTOCOLS, TERRAIN_SEEDS
 from aicpg_newton.evaluation.run import Laboratory, evaluate
 from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.learning import checkpoint
+from aicpg_newton.ranges import ENVIRONMENTS, SEED, check_ranges
 
 
 @dataclass(kw_only=True)
@@ -34,16 +35,16 @@ class EvaluateOptions:
     """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
     device: str = "auto"
     """auto, cpu or cuda:N."""
-    num_envs: int = 64
+    num_envs: Annotated[int, ENVIRONMENTS] = 64
     """Number of environments, shared out evenly among the frequencies."""
     protocol: Literal[
         "sweep", "disturbance", "transition", "slowing", "up_and_down", "speed", "terrain", "training", "all"
     ] = "all"
     """What to do. speed runs the sweep first where there is none; training needs run folders, terrain uneven ground;
     all: all that the ground and the controllers allow, but training."""
-    terrain_seed: tuple[int, ...] = ()
+    terrain_seed: Annotated[tuple[int, ...], SEED] = ()
     """Seeds of uneven ground (terrain: all of them, other protocols: the first); 1001 to 1005 if none is given."""
-    seed: int = 0
+    seed: Annotated[int, SEED] = 0
     """Seed of start states and pushes."""
     redraw: tuple[Path, ...] = ()
     """Only draw figures, into --out, from the CSV files of these folders together."""
@@ -55,6 +56,9 @@ def main(options: EvaluateOptions) -> None:
     Raises:
         UserError: An option cannot be met.
     """
+    check_ranges(options, "--")
+    if options.redraw and options.checkpoint:
+        raise UserError("--redraw only draws figures from results that are there; leave --checkpoint out")
     if options.redraw:
         folders = list(options.redraw)
         results.make_folder(options.out)

@@ -72,6 +72,7 @@ def main() -> None:
         description=__doc__,
         config=(tyro.conf.OmitSubcommandPrefixes,),
     )
+    chosen.settings.refuse_idle_changes(default.settings)
     train(chosen.settings, chosen.run)
 
 

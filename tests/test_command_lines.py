@@ -25,6 +25,8 @@ def call(*arguments: str) -> subprocess.CompletedProcess[str]:
         (["train.py", "--resume", SHIPPED, "--task", "uneven"], "--task is uneven, but"),
         (["train.py", "--resume", SHIPPED, "--method", "ppo"], "--method is ppo, but"),
         (["train.py", "--physics.substeps", "3"], "physics.substeps is 3"),
+        (["train.py", "--ground.seed", "4"], "ground.seed was changed, but does nothing: the ground is a plane"),
+        (["train.py", "--max-minutes", "nan"], "--max-minutes is nan; give a positive number"),
         (["train.py", "--rewards.upright.weight", "nan"], "rewards.upright.weight is nan"),
         (
             ["train.py", "--rewards.pattern-tracking.reading", "mean"],
@@ -33,7 +35,7 @@ def call(*arguments: str) -> subprocess.CompletedProcess[str]:
         (["play.py", "--checkpoint", "nowhere.pt"], "no checkpoint at nowhere.pt"),
         (["play.py", "--task", "moon"], "unknown task 'moon'"),
         (["play.py", "--terrain-seed", "3"], "the ground of task 'flat' is a plane"),
-        (["play.py", "--agent", "zero", "--task", "uneven", "--terrain-seed", "-1"], "ground.seed -1"),
+        (["play.py", "--agent", "zero", "--task", "uneven", "--terrain-seed", "-1"], "--terrain-seed is -1"),
     ],
 )
 def test_bad_input(arguments: list[str], message: str):

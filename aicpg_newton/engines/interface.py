@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Annotated, ClassVar, Protocol
 
 import torch
 
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
+from aicpg_newton.ranges import Range, check_ranges
 from aicpg_newton.robot.humanoid import CONTROL_DT
 
 
@@ -16,17 +17,17 @@ from aicpg_newton.robot.humanoid import CONTROL_DT
 class Physics:
     """Settings of the rigid-body simulation."""
 
-    substeps: int = 4
+    substeps: Annotated[int, Range(2, 1000)] = 4
     """Physics steps per control step, an even number: 4 at 60 Hz control are 240 Hz."""
-    iterations: int = 10
+    iterations: Annotated[int, Range(1, 1000)] = 10
     """Iterations of the constraint solver (Newton's method)."""
-    ls_iterations: int = 20
+    ls_iterations: Annotated[int, Range(1, 1000)] = 20
     """Line-search iterations in each of them."""
-    friction: float = 1.0
+    friction: Annotated[float, Range(0.0, 100.0)] = 1.0
     """Coulomb friction of the ground."""
-    max_contacts: int = 40
+    max_contacts: Annotated[int, Range(1, 10_000)] = 40
     """Contact points that fit in one environment's buffer."""
-    max_constraints: int = 200
+    max_constraints: Annotated[int, Range(1, 40_000)] = 200
     """Constraint rows (joint limits, four per contact) that fit in one environment's buffer."""
 
     capture: bool = True
@@ -42,15 +43,11 @@ class Physics:
         """Refuse settings that no engine can run.
 
         Raises:
-            UserError: A count is not positive, or the number of substeps is odd.
+            UserError: A number is out of its range, or that of substeps is odd.
         """
-        if self.substeps < 2 or self.substeps % 2:
+        check_ranges(self, "physics.")
+        if self.substeps % 2:
             raise UserError(f"physics.substeps is {self.substeps}; give an even number of at least 2")
-        for name in ("iterations", "ls_iterations", "max_contacts", "max_constraints"):
-            if getattr(self, name) < 1:
-                raise UserError(f"physics.{name} is {getattr(self, name)}; give a positive number")
-        if not 0.0 <= self.friction < float("inf"):
-            raise UserError(f"physics.friction is {self.friction}; give a finite non-negative number")
 
 
 @dataclass

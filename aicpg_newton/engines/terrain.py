@@ -8,14 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
 
 from aicpg_newton.errors import UserError
+from aicpg_newton.ranges import SEED, Range, check_ranges
 
 EDGE = 2.0
 """Strip along the border of the mesh on which no robot starts, and within half of which none may go on [m]."""
+
+_MOST_VERTICES = 20_000_000
+"""A mesh with more does not fit into memory beside its contacts."""
 
 _STARTS = 40.0
 """Length of the strip along x in which robots start [m]."""
@@ -25,24 +30,24 @@ _STARTS = 40.0
 class Ground:
     """Shape of the ground."""
 
-    height_range: float = 0.0
+    height_range: Annotated[float, Range(0.0, 10.0)] = 0.0
     """Height of the highest above the lowest point [m]; 0 is an endless plane, the paper's terrain has 0.1."""
     shape: str = "random"
     """random: straight lines between random heights."""
-    cell: float = 0.25
+    cell: Annotated[float, Range(0.0, 4 * EDGE, positive=True)] = 0.25
     """Spacing of the mesh's vertices [m]."""
-    feature: float = 0.5
+    feature: Annotated[float, Range(0.0, 4 * EDGE, positive=True)] = 0.5
     """Spacing of the random heights [m], with straight lines between them: the smaller, the rougher."""
-    length: float = 320.0
+    length: Annotated[float, Range(4 * EDGE, 10_000.0)] = 320.0
     """Extent along x [m]: 40 to start in, then 60 s at more than 4 m/s."""
-    width: float = 32.0
+    width: Annotated[float, Range(4 * EDGE, 10_000.0)] = 32.0
     """Extent along y [m]."""
-    levels: int = 1
+    levels: Annotated[int, Range(1, 1000)] = 1
     """Strips side by side with heights from 1/levels of the range to all of it; robots that last move on to the next,
     and from the last to any of them, others go back by one. 1 is no such curriculum."""
     level_strip: bool = False
     """Make the first strip level; the others then rise from 1/(levels - 1) of the range."""
-    seed: int = 0
+    seed: Annotated[int, SEED] = 0
     """Seed of the heights."""
 
     def validate(self) -> None:
@@ -51,26 +56,26 @@ class Ground:
         Raises:
             UserError: A size is out of its range.
         """
-        if not 0.0 <= self.height_range < float("inf"):
-            raise UserError(f"ground.height_range is {self.height_range}; give a height in metres, 0 for a plane")
+        check_ranges(self, "ground.")
         if self.shape not in SHAPES:
             raise UserError(f"ground.shape is {self.shape!r}; choose one of: {', '.join(SHAPES)}")
-        if not 0.0 < self.cell <= self.feature <= 4 * EDGE:
+        if self.cell > self.feature:
             raise UserError(
-                f"ground.cell is {self.cell} and ground.feature {self.feature};"
-                f" give lengths of more than 0 and at most {4 * EDGE} m, the feature no smaller than the cell"
+                f"ground.cell is {self.cell} and ground.feature {self.feature}; give a feature no smaller than the cell"
             )
         if not self.uneven and (self.levels > 1 or self.level_strip):
             raise UserError(f"ground.levels is {self.levels}, but ground.height_range is 0; give the strips a height")
         if self.level_strip and self.levels < 2:
             raise UserError("ground.level_strip takes one of ground.levels, which is 1; give at least 2")
-        if self.levels < 1 or self.seed < 0:
-            raise UserError(f"ground.levels is {self.levels} and ground.seed {self.seed}; give at least 1 and 0")
-        least = 4 * EDGE
-        if not (least <= self.length < float("inf") and least * self.levels <= self.width < float("inf")):
+        if self.width < 4 * EDGE * self.levels:
             raise UserError(
-                f"ground.length is {self.length} and ground.width {self.width};"
-                f" give at least {least} m, and as much width for each level"
+                f"ground.width is {self.width} and ground.levels {self.levels}; give {4 * EDGE} m for each level"
+            )
+        vertices = self.length * self.width / self.cell**2
+        if self.uneven and vertices > _MOST_VERTICES:
+            raise UserError(
+                f"ground.length, width and cell make a mesh of {vertices:.1e} vertices, more than {_MOST_VERTICES:.0e};"
+                " give a smaller ground or larger cells"
             )
 
     @property

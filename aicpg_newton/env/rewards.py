@@ -57,10 +57,11 @@ class RewardTerm:
             raise UserError(f"{name} has the parameters {list(self.parameters)}, but its function takes {wanted}")
         hints = typing.get_type_hints(self.function)
         for parameter, value in self.parameters.items():
-            choices = typing.get_args(hints[parameter]) if typing.get_origin(hints[parameter]) is Literal else None
+            hint = hints.get(parameter)
+            choices = typing.get_args(hint) if typing.get_origin(hint) is Literal else None
             if choices is not None and value not in choices:
                 raise UserError(f"{name}.{parameter} is {value!r}; choose one of {', '.join(choices)}")
-            if hints[parameter] is float and not (math.isfinite(value) and value > 0.0):
+            if hint is float and not (math.isfinite(value) and value > 0.0):
                 raise UserError(f"{name}.{parameter} is {value}; give a positive number")
 
 

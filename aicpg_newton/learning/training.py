@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 import yaml
@@ -30,6 +30,7 @@ from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.bookkeeping import claim, git_revision, new_folder, release, store_changes
 from aicpg_newton.learning.runner import Runner, TimeIsUp
+from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, POSITIVE, SEED, check_ranges
 from aicpg_newton.robot import humanoid
 
 CONFIG_NAME = "config.yaml"
@@ -39,7 +40,7 @@ CONFIG_NAME = "config.yaml"
 class RunOptions:
     """How and where to train, apart from the task."""
 
-    num_envs: int | None = None
+    num_envs: Annotated[int | None, ENVIRONMENTS] = None
     """Number of environments; 8192 on CUDA and 256 on a CPU when not given."""
     device: str = "auto"
     """auto, cpu or cuda:N."""
@@ -47,11 +48,11 @@ class RunOptions:
     """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
     learner_device: str | None = None
     """Device of the networks beside physics on the CPU (engine mujoco): cuda:N or mps."""
-    max_iterations: int = 3000
+    max_iterations: Annotated[int, AT_LEAST_ONE] = 3000
     """Iterations of the whole run, those before a resume included (paper, Sec. III-A: 3000 epochs)."""
-    max_minutes: float | None = None
+    max_minutes: Annotated[float | None, POSITIVE] = None
     """Stop at the first checkpoint after this time [min]; --resume goes on from there."""
-    seed: int | None = None
+    seed: Annotated[int | None, SEED] = None
     """Seed of networks, exploration and resets, 0 when not given; a resumed run keeps its own."""
     run_dir: Path | None = None
     """Folder of the run; runs/<task>/<method>/<date and time> when not given."""
@@ -82,12 +83,7 @@ def train(task: Task, options: RunOptions) -> Path:
             f"WORLD_SIZE is {os.environ['WORLD_SIZE']}, as several processes that train together have it, which is not"
             " possible yet; unset it to train in this process alone"
         )
-    if options.max_iterations < 1:
-        raise UserError(f"--max-iterations is {options.max_iterations}; give a positive number")
-    if options.num_envs is not None and options.num_envs < 1:
-        raise UserError(f"--num-envs is {options.num_envs}; give at least 1")
-    if options.max_minutes is not None and not options.max_minutes > 0.0:
-        raise UserError(f"--max-minutes is {options.max_minutes}; give a positive number")
+    check_ranges(options, "--")
     on_cpu = options.engine == "mujoco" and options.device == "auto"  # it runs nowhere else
     device = torch.device("cpu") if on_cpu else resolve_device(options.device)
     learner_device = resolve_learner_device(options.learner_device, engine_name(options.engine, device), device)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from aicpg_newton.errors import UserError
+from aicpg_newton.ranges import ENVIRONMENTS, SEED, Range, check_ranges
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
 from aicpg_newton.viewing import LIVE_KINDS
 from aicpg_newton.viewing.output import writable_path
@@ -24,13 +23,13 @@ class PlayOptions:
     """Trained network: a model_*.pt or a run folder; the best of those that ship when not given."""
     task: str | None = None
     """Task to play on, flat, uneven or robust; by default the checkpoint's own, and flat without a checkpoint."""
-    terrain_seed: int | None = None
+    terrain_seed: Annotated[int | None, SEED] = None
     """Seed of uneven ground; 1000 when not given, which no training takes by itself."""
-    frequency: tuple[float, ...] = ()
+    frequency: Annotated[tuple[float, ...], Range(0.0, 10.0, positive=True)] = ()
     """Stride frequencies f [Hz], 0.9, 1.1 and 1.3 when not given; the environments are shared out evenly among them."""
-    num_envs: int = 12
+    num_envs: Annotated[int, ENVIRONMENTS] = 12
     """Number of environments."""
-    duration: float | None = None
+    duration: Annotated[float | None, Range(CONTROL_DT, 1e6)] = None
     """Simulated time [s]; when not given 10, and in a live viewer an hour, which Ctrl-C ends."""
     agent: Literal["policy", "zero", "random", "mocap"] = "policy"
     """policy: the trained network; zero: the CPG alone; random: noise on it; mocap: the gait on a plane, no physics."""
@@ -44,7 +43,7 @@ class PlayOptions:
     """auto, cpu or cuda:N."""
     engine: str = "auto"
     """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
-    seed: int = 0
+    seed: Annotated[int, SEED] = 0
     """Seed of start states and of the random agent."""
 
     def steps(self) -> int:
@@ -53,14 +52,11 @@ class PlayOptions:
         Raises:
             UserError: One does not, or a file cannot be written.
         """
-        if not all(math.isfinite(f) and f > 0 for f in self.frequency):
-            raise UserError(f"--frequency is {self.frequency}; give positive numbers in Hz")
+        check_ranges(self, "--")
         duration = self.duration
         if duration is None:
             watched = self.viewer in LIVE_KINDS and self.record is None and self.filmstrip is None
             duration = _LIVE_DURATION if watched else _DURATION
-        if not (math.isfinite(duration) and duration >= CONTROL_DT):
-            raise UserError(f"--duration is {duration}; give a positive number of seconds")
         for path, suffix in ((self.filmstrip, ".png"), (self.record, ".mp4")):
             if path is not None:
                 writable_path(path, suffix)

@@ -161,13 +161,13 @@ def test_inside_ends_before_the_mesh(terrain: Terrain) -> None:
         ({"height_range": -0.1}, "ground.height_range is -0.1"),
         ({"height_range": float("inf")}, "ground.height_range is inf"),
         ({"cell": 0.0}, "ground.cell is 0.0"),
-        ({"cell": 1.0}, "the feature no smaller than the cell"),
-        ({"cell": 10.0, "feature": 10.0}, "at most 8.0 m"),
+        ({"cell": 1.0}, "a feature no smaller than the cell"),
+        ({"cell": 10.0, "feature": 10.0}, "ground.cell is 10.0; give a positive number of at most 8"),
         ({"levels": 0}, "ground.levels is 0"),
-        ({"seed": -1}, "ground.seed -1"),
+        ({"seed": -1}, "ground.seed is -1"),
         ({"length": 7.0}, "ground.length is 7.0"),
-        ({"levels": 2}, "as much width for each level"),
-        ({"width": float("nan")}, "ground.width nan"),
+        ({"levels": 2}, "give 8.0 m for each level"),
+        ({"width": float("nan")}, "ground.width is nan"),
     ],
 )
 def test_bad_settings(change: dict[str, float], message: str) -> None:

@@ -5,8 +5,10 @@ import typing
 
 import pytest
 
+from aicpg_newton.env.methods import METHODS
 from aicpg_newton.env.registry import TASKS, get_task
 from aicpg_newton.errors import UserError
+from aicpg_newton.ranges import Range
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -37,7 +39,7 @@ def test_unknown_task():
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("frequencies.minimum", 0.0, "frequencies run from 0.0"),
+        ("frequencies.minimum", 0.0, "frequencies.minimum is 0.0; give a positive number of at most 10"),
         ("frequencies.minimum", 1.5, "frequencies run from 1.5"),
         ("rewards.upright.weight", float("nan"), "rewards.upright.weight is nan"),
         ("rewards.pattern_tracking.parameters.bound", 0.0, "rewards.pattern_tracking.bound is 0.0"),
@@ -45,13 +47,12 @@ def test_unknown_task():
         ("reflex.torque_share", 0.0, "reflex.torque_share is 0.0"),
         ("frequencies.change_interval", -1.0, "frequencies.change_interval is -1.0"),
         ("frequencies.jumps", 1.5, "frequencies.jumps is 1.5"),
-        ("pushes.interval", 2.0, "where pushes.force is 0"),
         ("ground.levels", 3, "ground.levels is 3, but ground.height_range is 0"),
         ("ground.level_strip", True, "give the strips a height"),
         ("physics.substeps", 3, "physics.substeps is 3"),
         ("physics.iterations", 0, "physics.iterations is 0"),
         ("learning.minibatches", 0, "learning.minibatches is 0"),
-        ("learning.hidden_sizes", (), "learning.hidden_sizes is 0"),
+        ("learning.hidden_sizes", (), "learning.hidden_sizes has 0 layers"),
         ("learning.learning_rate", -1.0, "learning.learning_rate is -1"),
         ("learning.learning_rate", 0.1, "learning.learning_rate is 0.1, outside of its bounds"),
         ("learning.maximum_learning_rate", 1e-6, "outside of its bounds"),
@@ -60,6 +61,10 @@ def test_unknown_task():
         ("learning.discount", 2.0, "learning.discount is 2.0"),
         ("resets.minimum_speed", 3.0, "start speeds run from 3.0"),
         ("termination.maximum_tilt", float("inf"), "termination.maximum_tilt is inf"),
+        ("termination.maximum_tilt", -3.0, "termination.maximum_tilt is -3.0; give a positive number of at most 180"),
+        ("learning.hidden_sizes", (8, 10**9), "learning.hidden_sizes is 1000000000; give a number from 1 to 8192"),
+        ("learning.hidden_sizes", (8,) * 17, "learning.hidden_sizes has 17 layers"),
+        ("ground.seed", -1, "ground.seed is -1"),
     ],
 )
 def test_bad_settings_are_named(path: str, value: object, message: str):
@@ -75,6 +80,65 @@ def test_bad_settings_are_named(path: str, value: object, message: str):
         setattr(owner, last, value)
     with pytest.raises(UserError, match=message):
         task.validate()
+
+
+def test_settings_of_a_baseline_have_ranges_too():
+    """Shares, sizes, speeds."""
+    task = get_task("flat", "amp:run")
+    task.imitation.replay_keep = 5.0  # type: ignore[attr-defined]
+    with pytest.raises(UserError, match=r"imitation.replay_keep is 5.0; give a number from 0 to 1"):
+        task.validate()
+    with pytest.raises(UserError, match=r"target_speed is -1.0; give a positive number of at most 20"):
+        get_task("flat", "ppo:-1")
+
+
+def test_every_number_states_its_range():
+    """Beside its help text, so that none is forgotten."""
+    for method in METHODS.values():
+        task = method.task(name="flat")
+        for owner in (task, *(each for each in vars(task).values() if dataclasses.is_dataclass(each))):
+            hints = typing.get_type_hints(type(owner), include_extras=True)
+            for name, hint in hints.items():
+                bare = typing.get_args(hint)[0] if typing.get_origin(hint) is typing.Annotated else hint
+                if bare in (int, float, tuple[int, ...]):
+                    assert any(isinstance(each, Range) for each in getattr(hint, "__metadata__", ())), (owner, name)
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "value", "why"),
+    [
+        ("ai-cpg", "ground.seed", 4, "ground.height_range is 0"),
+        ("ai-cpg", "frequencies.jumps", 0.5, "frequencies.change_interval is 0"),
+        ("ai-cpg", "pushes.interval", 2.0, "pushes.force is 0"),
+        ("ai-cpg", "learning.symmetry", False, "equivariant"),
+        ("ppo", "frequencies.minimum", 0.7, "target_speed sets the gait"),
+        ("ppo", "resets.maximum_speed", 0.7, "start standing"),
+        ("amp", "frequencies.maximum", 1.6, "reference sets the gait"),
+        ("amp", "rewards.upright.weight", 2.0, "imitation.task_reward_weight is 0"),
+        ("amp", "learning.desired_kl", 0.1, "schedule is fixed"),
+    ],
+)
+def test_settings_that_do_nothing_are_refused(method: str, path: str, value: object, why: str):
+    """Changed from what they were; as they are they do not matter, and where they do something they may be changed."""
+    task, default = get_task("flat", method), get_task("flat", method)
+    task.refuse_idle_changes(default)
+    *parents, last = path.split(".")
+    owner: object = task
+    for parent in parents:
+        owner = owner[parent] if isinstance(owner, dict) else getattr(owner, parent)
+    setattr(owner, last, value)
+    with pytest.raises(UserError, match=f"was changed, but does nothing: .*{why}"):
+        task.refuse_idle_changes(default)
+    task.ground.height_range = 0.1
+    if method == "ai-cpg":
+        task.frequencies.change_interval = 4.0
+    task.pushes.force = 100.0
+    task.learning.network = "mlp"
+    task.learning.learning_rate_schedule = "iteration"
+    if method == "amp":
+        task.imitation.task_reward_weight = 1.0  # type: ignore[attr-defined]
+    if parents[0] not in ("frequencies", "resets") or method == "ai-cpg":
+        task.refuse_idle_changes(default)
 
 
 def test_changes_that_cannot_be_are_refused():
