@@ -21,7 +21,7 @@ from aicpg_newton.env.task import Task
 from aicpg_newton.env.view import View
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
-from aicpg_newton.robot.humanoid import CONTROL_DT, NUM_JOINTS
+from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE, NUM_JOINTS
 
 
 @dataclass
@@ -103,6 +103,7 @@ class Environment(VecEnv):
         self._terms = {name: (scale * term.weight, term) for name, term in task.rewards.items()}
         self._push = torch.zeros(n, 3, device=self.device)
         self._push_clock = self._uniform(0.0, max(task.pushes.interval, CONTROL_DT))
+        self._asked_pushes: list[torch.Tensor] = []
         self._starts = Starts(task.resets, self.actuation, engine.terrain, self._generator)
         self._sound = torch.ones((), dtype=torch.bool, device=self.device)
         self._episode_means: dict[str, torch.Tensor] = {}
@@ -170,6 +171,14 @@ class Environment(VecEnv):
         told = self.commands if self._commands_to_come is None else self._commands_to_come
         given = {"frequency": frequency, "heading": heading}
         self._commands_to_come = replace(told, **{name: value for name, value in given.items() if value is not None})
+
+    def push(self, force: torch.Tensor) -> None:
+        """Push the torsos for as long as one of the task's pushes lasts, from the coming control step on.
+
+        Args:
+            force: Force on the torso's centre of mass, world frame [N], shape [num_envs, 3].
+        """
+        self._asked_pushes = [force] * max(1, round(self.task.pushes.duration * CONTROL_RATE))
 
     def _obey(self) -> None:
         """Take over what :meth:`command` was given since the last step."""
@@ -308,7 +317,15 @@ class Environment(VecEnv):
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
 
     def _pushes(self) -> torch.Tensor | None:
-        """Force on the torso for this step [N], shape [num_envs, 3]; None where the task has no pushes."""
+        """Force on the torso for this step [N], shape [num_envs, 3]; None where nobody pushes."""
+        own = self._random_pushes()
+        if not self._asked_pushes:
+            return own
+        asked = self._asked_pushes.pop()
+        return asked if own is None else own + asked
+
+    def _random_pushes(self) -> torch.Tensor | None:
+        """The task's own; None where it has none."""
         pushes = self.task.pushes
         if pushes.force == 0.0:
             return None

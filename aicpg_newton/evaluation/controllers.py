@@ -11,12 +11,12 @@ import torch
 
 from aicpg_newton.env.methods import condition, get_method, on_task
 from aicpg_newton.env.task import Task
-from aicpg_newton.evaluation import metrics
 from aicpg_newton.evaluation.protocols import PROTOCOLS
 from aicpg_newton.evaluation.transition_summaries import TRANSITION_FROUDE
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.policy import Trained
+from aicpg_newton.robot.locomotion import froude_number
 
 
 @dataclass
@@ -51,7 +51,7 @@ class Controller:
             return ""
         clips = {gait.name: gait.speed for gait in self.pattern.gaits}
         speed = clips[self.condition] if self.condition in clips else float(self.condition)
-        return "walking" if metrics.froude_number(torch.tensor(speed)) < TRANSITION_FROUDE else "running"
+        return "walking" if froude_number(torch.tensor(speed)) < TRANSITION_FROUDE else "running"
 
     @property
     def title(self) -> str:

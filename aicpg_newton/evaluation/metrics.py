@@ -13,12 +13,8 @@ import torch
 
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.robot import rotations
-from aicpg_newton.robot.humanoid import CONTROL_DT, GRAVITY, JOINT_NAMES, LEG_LENGTH, TOTAL_MASS
+from aicpg_newton.robot.humanoid import CONTROL_DT, GRAVITY, JOINT_NAMES, TOTAL_MASS
 from aicpg_newton.robot.mirror import JOINTS
-
-CONTACT_FORCE = 0.05 * TOTAL_MASS * GRAVITY
-"""A foot that carries more than this is on the ground [N]. 5 % of body weight, 24 N: the level used with force plates
-(20 to 50 N), more than twice the weight of a foot, and far less than the load of any real support."""
 
 SLOWEST_SPEED = 0.1
 """Below this mean forward speed [m/s] there is no transport, and its cost is not defined."""
@@ -75,11 +71,6 @@ def moving_mean(values: torch.Tensor, valid: torch.Tensor, window: int) -> torch
     half = window // 2
     result[half : half + len(sums)] = torch.where(counts == window, sums / window, math.nan).float()
     return result
-
-
-def froude_number(speed: torch.Tensor) -> torch.Tensor:
-    """Fr = v^2 / (g L) (Eq. 11, dimensionless) of forward speeds [m/s], any shape; L = 0.855 m."""
-    return speed.square() / (GRAVITY * LEG_LENGTH)
 
 
 def mechanical_power(joint_torque: torch.Tensor, joint_velocity: torch.Tensor) -> torch.Tensor:
@@ -164,11 +155,6 @@ def symmetry_index(joint_position: torch.Tensor, valid: torch.Tensor, lag: torch
     smallest = SMALLEST_ANGLE * count.clamp(min=1).unsqueeze(1)
     ratio = total((right - later).abs()) / torch.maximum(total(0.5 * (right.abs() + later.abs())), smallest)
     return torch.where(known & (count > 0), ratio.mean(dim=1), math.nan)
-
-
-def feet_on_ground(foot_force: torch.Tensor) -> torch.Tensor:
-    """Whether each foot bears more than :data:`CONTACT_FORCE`, shape [..., 2, 3] [N] to [..., 2]."""
-    return foot_force[..., 2] > CONTACT_FORCE
 
 
 def sole_clearance(corners: torch.Tensor, terrain: Terrain | None) -> torch.Tensor:

@@ -41,6 +41,7 @@ from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.policy import load_policy
 from aicpg_newton.playing.rollout import no_action
 from aicpg_newton.robot import humanoid
+from aicpg_newton.robot.locomotion import CONTACT_FORCE
 
 _IDLE = 1.0  # stride frequency of the rhythm generator where nothing follows it [Hz]
 
@@ -303,7 +304,7 @@ _READINGS: dict[str, Callable[[Trajectories, torch.Tensor, Source], tuple[list[r
 def _definitions() -> dict[str, Any]:
     """The numbers behind the measures."""
     return {
-        "contact_force_n": metrics.CONTACT_FORCE,
+        "contact_force_n": CONTACT_FORCE,
         "least_speed_for_cost_of_transport_mps": metrics.SLOWEST_SPEED,
         "least_denominator_of_symmetry_index_rad": metrics.SMALLEST_ANGLE,
         "steps_not_counted_after_a_start": WARM_UP,

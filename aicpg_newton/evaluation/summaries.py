@@ -14,6 +14,7 @@ from aicpg_newton.evaluation.protocols import SPEED
 from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.trajectories import SHORTEST, Trajectories, sole_clearance
 from aicpg_newton.robot.humanoid import CONTROL_RATE
+from aicpg_newton.robot.locomotion import froude_number
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def steady_row(trajectories: Trajectories, frequency: float, source: Source) -> 
         **source.row(frequency),
         **measures,
         **{name: mean(values) for name, values in sole_measures(trajectories).items()},
-        "froude": float(metrics.froude_number(torch.tensor(speed))),
+        "froude": float(froude_number(torch.tensor(speed))),
         "survived": float((~trajectories.fallen.any(dim=0)).float().mean()),
         "falls_per_minute": mean(metrics.falls_per_minute(trajectories.fallen)),
         "reason": "; ".join(reasons),

@@ -16,6 +16,7 @@ from aicpg_newton.learning.policy import Agent
 from aicpg_newton.playing.rollout import Tally, physical_frames, share_out
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE, NUM_JOINTS
 from aicpg_newton.robot.kinematics import centre_of_mass, sole_corners
+from aicpg_newton.robot.locomotion import feet_on_ground
 
 WARM_UP = round(1.0 * CONTROL_RATE)
 """Steps after every start that no measure counts: the first second, in which the start state dies away."""
@@ -130,7 +131,7 @@ def record(
         kept.root_rotation[step] = frame.root_rotation
         kept.joint_position[step] = frame.joint_position
         kept.power[step] = metrics.mechanical_power(outcome.state.joint_torque, outcome.state.joint_velocity)
-        kept.contact[step] = metrics.feet_on_ground(outcome.state.foot_force)
+        kept.contact[step] = feet_on_ground(outcome.state.foot_force)
         kept.ground_height[step] = outcome.ground_height
         kept.fallen[step] = outcome.fallen | outcome.off_course
         kept.ended[step] = kept.fallen[step] | outcome.timed_out

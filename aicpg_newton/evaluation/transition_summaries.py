@@ -13,6 +13,7 @@ from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.summaries import Source, mean, std
 from aicpg_newton.evaluation.trajectories import Trajectories
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
+from aicpg_newton.robot.locomotion import froude_number
 
 FLIGHT_THRESHOLD = 1.5 / 60
 """A window of 60 steps with a larger flight phase ratio has flight: two steps, as one may be a chance of sampling."""
@@ -91,7 +92,7 @@ def _rows(trajectories: Trajectories, source: Source) -> tuple[list[Row], torch.
                 "frequency_hz": float(trajectories.frequency[step, shown]),
                 "speed_mps": mean_speed,
                 "speed_std_mps": std(speed[step]),
-                "froude": float(metrics.froude_number(torch.tensor(mean_speed))),
+                "froude": float(froude_number(torch.tensor(mean_speed))),
                 "flight_ratio": mean(flight[step]),
                 "flight_ratio_std": std(flight[step]),
                 "standing": float(upright[step].float().mean()),
@@ -127,7 +128,7 @@ def gait_changes(
             continue
         f, v = frequency[steps, env], speed[steps, env]
         flying = flight[steps, env] > FLIGHT_THRESHOLD
-        fast = metrics.froude_number(v) >= TRANSITION_FROUDE
+        fast = froude_number(v) >= TRANSITION_FROUDE
         if fast.any() and not fast[0]:
             first = int(fast.long().argmax())
             found["transition_speed_mps"].append(float(v[first]))

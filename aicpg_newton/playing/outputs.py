@@ -39,8 +39,9 @@ def outputs_of(options: PlayOptions, motion: Motion) -> Iterator[list[Output]]:
         UserError: A viewer or a file cannot be opened.
     """
     with contextlib.ExitStack() as stack:
-        viewer = LiveViewer(options.viewer, options.num_envs, Path("play.usd"), motion.terrain, motion.slider)
-        opened: list[Output] = [Screen(stack.enter_context(viewer))]
+        robots = len(motion.tally.frequency)
+        viewer = LiveViewer(options.viewer, robots, Path("play.usd"), motion.terrain, motion.desk)
+        opened: list[Output] = [Screen(stack.enter_context(viewer), motion)]
         if options.record is not None:
             video = stack.enter_context(VideoWriter(options.record, terrain=motion.terrain))
             opened.append(Film(video, motion, options.record))
@@ -56,12 +57,16 @@ def outputs_of(options: PlayOptions, motion: Motion) -> Iterator[list[Output]]:
 class Screen:
     """A live viewer, or the one that shows nothing."""
 
-    def __init__(self, viewer: LiveViewer) -> None:
-        self._viewer = viewer
+    def __init__(self, viewer: LiveViewer, motion: Motion) -> None:
+        self._viewer, self._motion, self._terrain = viewer, motion, motion.terrain
 
     def take(self, frame: Frame, step: int) -> bool:
         """See :meth:`Output.take`."""
-        self._viewer.show(frame.root_position, frame.root_rotation, frame.joint_position, step * CONTROL_DT)
+        if self._motion.terrain is not self._terrain:
+            self._terrain = self._motion.terrain
+            self._viewer.stand_on(self._terrain)
+        pose = frame.root_position, frame.root_rotation, frame.joint_position
+        self._viewer.show(*pose, step * CONTROL_DT, frame.readings)
         return self._viewer.is_running()
 
     def finish(self) -> None:

@@ -19,13 +19,14 @@ def play(options: PlayOptions, task: Task) -> Tally:
     Raises:
         UserError: An option cannot be met.
     """
+    options = options.settled()
     steps = options.steps()
     motion = SOURCES[options.agent](options, Basis.of(options, task), steps)
     with outputs_of(options, motion) as outputs:
         for step, frame in enumerate(motion.frames, start=1):
             if not all([output.take(frame, step) for output in outputs]):
                 break
-    if motion.slider is not None and motion.slider.moved:
+    if motion.turned:
         print("The stride frequency was turned by hand; f in the table is what it was at the start.")
     print(motion.tally.table())
     return motion.tally

@@ -13,6 +13,7 @@ from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
 from aicpg_newton.gait.poses import gait_pose
 from aicpg_newton.learning.policy import Agent
 from aicpg_newton.robot.humanoid import CONTROL_DT, NUM_JOINTS
+from aicpg_newton.viewing import Readings
 
 
 def no_action(observed: torch.Tensor) -> torch.Tensor:
@@ -41,6 +42,8 @@ class Frame:
     """Stride frequency of the step [Hz], shape [num_envs]."""
     episode: torch.Tensor
     """Number of episodes the environment has ended, shape [num_envs]."""
+    readings: Readings | None = None
+    """What a page shows of them, where one is looked at."""
 
 
 @dataclass

@@ -9,29 +9,24 @@ from typing import Any
 import torch
 
 from aicpg_newton.device import resolve_device
-from aicpg_newton.engines.terrain import Terrain
+from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.methods import condition, get_method, on_task
+from aicpg_newton.env.registry import TASKS, get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.policy import Agent, Trained, load_policy
-from aicpg_newton.playing.options import PlayOptions
+from aicpg_newton.playing.attended import Attended
+from aicpg_newton.playing.options import FREQUENCIES, PlayOptions
 from aicpg_newton.playing.rollout import Frame, Tally, kinematic_frames, no_action, physical_frames, share_out
-from aicpg_newton.robot.humanoid import CONTROL_DT
-from aicpg_newton.viewing import Slider
-
-FREQUENCIES = (0.9, 1.1, 1.3)
-"""Stride frequencies when none is given [Hz]."""
+from aicpg_newton.viewing import LIVE_KINDS, Desk
 
 _TERRAIN_SEED = 1000
 
-_TURN_RATE = 0.25
-"""How fast the stride frequency follows the slider [Hz/s]; at 0.5 robots fell when it was turned from 1.35 to 0.85."""
-
 _TURN_MARGIN = 0.1
-"""How far the slider goes beyond the frequencies of the training [Hz]."""
+"""How far a desk lets the stride frequency go beyond those of the training [Hz]."""
 
 
 @dataclass
@@ -74,12 +69,14 @@ class Motion:
     """Poses, one control step after the other."""
     tally: Tally
     """What they count in."""
-    terrain: Terrain | None = None
-    """The ground; None for a plane."""
+    own_terrain: Terrain | None = None
+    """The ground to begin on; None for a plane."""
     title: str = ""
     """What is shown in place of a frequency that does nothing."""
-    slider: Slider | None = None
-    """Stride frequency of all robots, for whoever watches."""
+    desk: Desk | None = None
+    """Where whoever watches asks for something."""
+    attended: Attended | None = None
+    """The roll-out that obeys it."""
     first: dict[str, int] = field(init=False)
     """First robot of each group, by the group's name."""
 
@@ -88,6 +85,16 @@ class Motion:
         self.first = {
             self.title or f"{f:.2f} Hz": int((frequencies == f).nonzero()[0]) for f in frequencies.unique().tolist()
         }
+
+    @property
+    def terrain(self) -> Terrain | None:
+        """The ground that the robots are on; None for a plane."""
+        return self.own_terrain if self.attended is None else self.attended.terrain
+
+    @property
+    def turned(self) -> bool:
+        """Whether somebody has turned a stride frequency by hand."""
+        return self.attended is not None and self.attended.turned
 
 
 def policy(options: PlayOptions, basis: Basis, steps: int) -> Motion:
@@ -119,7 +126,7 @@ def mocap(options: PlayOptions, basis: Basis, steps: int) -> Motion:
     if basis.task.ground.uneven:
         print("The imitated gait is played back without physics, so it walks on a plane.")
     device = resolve_device(options.device)
-    tally = Tally(_shared_out(options.frequency or FREQUENCIES, options.num_envs).to(device))
+    tally = Tally(_shared_out(options.frequency or FREQUENCIES, options.robots).to(device))
     return Motion(kinematic_frames(basis.pattern.to(device), tally.frequency, steps, tally), tally)
 
 
@@ -138,40 +145,41 @@ def _physical(options: PlayOptions, basis: Basis, steps: int, agent_of: Callable
     if title and options.frequency:
         raise UserError(f"--frequency does nothing to a network trained as {title}; leave it out")
     # Of a network that no frequency sets it is the clock of the filmstrip alone.
-    frequencies = _shared_out((1.0,) if title else options.frequency or FREQUENCIES, options.num_envs)
-    task = basis.task.undisturbed()
-    task = replace(task, termination=replace(task.termination, episode_steps=steps + 1))
+    frequencies = _shared_out((1.0,) if title else options.frequency or FREQUENCIES, options.robots)
     device = resolve_device(options.device)
-    engine = engine_for(task, options.engine, options.num_envs, device)
-    environment = Environment(task, engine, basis.pattern, seed=options.seed)
     tally = Tally(frequencies.to(device), follows_frequency=not title)
-    environment.restart(tally.frequency)
-    frames = physical_frames(environment, agent_of(environment), steps, tally)
-    if title:
-        return Motion(frames, tally, engine.terrain, title)
-    slider = slider_for(environment)
-    return Motion(turned(frames, environment, slider), tally, engine.terrain, slider=slider)
+    grounds = {_name_of(basis.task.ground): basis.task}
 
+    def begin(ground: str) -> tuple[Environment, Agent]:
+        task = grounds[ground].undisturbed()
+        task = replace(task, termination=replace(task.termination, episode_steps=steps + 1))
+        engine = engine_for(task, options.engine, len(frequencies), device)
+        environment = Environment(task, engine, basis.pattern, seed=options.seed)
+        environment.restart(tally.frequency)
+        return environment, agent_of(environment)
 
-def slider_for(environment: Environment) -> Slider:
-    """A slider that stands at the first robot's frequency."""
-    trained = environment.task.frequencies
-    return Slider(
-        label="f [Hz]",
-        value=round(float(environment.commands.frequency[0]), 2),
-        minimum=round(trained.minimum - _TURN_MARGIN, 2),
-        maximum=round(trained.maximum + _TURN_MARGIN, 2),
+    if options.viewer not in LIVE_KINDS:
+        environment, agent = begin(*grounds)
+        return Motion(physical_frames(environment, agent, steps, tally), tally, environment.engine.terrain, title)
+    if options.record is None:  # a recording stays on its ground
+        others = (on_task(basis.task, get_task(name)) for name in TASKS)
+        grounds |= {_name_of(task.ground): _on_ground(task, None) for task in others}
+    trained = basis.task.frequencies
+    desk = Desk(
+        frequencies=[] if title else frequencies.tolist(),
+        lowest=round(trained.minimum - _TURN_MARGIN, 2),
+        highest=round(trained.maximum + _TURN_MARGIN, 2),
+        grounds=tuple(grounds) if len(grounds) > 1 else (),
+        ground=_name_of(basis.task.ground),
+        num_robots=len(frequencies),
     )
+    attended = Attended(desk, tally, begin)
+    return Motion(attended.frames(steps), tally, title=title, desk=desk, attended=attended)
 
 
-def turned(frames: Iterator[Frame], environment: Environment, slider: Slider) -> Iterator[Frame]:
-    """The frames of robots whose frequency goes where the slider stands, once somebody has moved it."""
-    most = _TURN_RATE * CONTROL_DT
-    for frame in frames:
-        yield frame
-        if slider.moved:
-            now = environment.commands.frequency
-            environment.command(frequency=now + (slider.value - now).clamp(-most, most))
+def _name_of(ground: Ground) -> str:
+    """What a ground is called on a desk."""
+    return f"uneven, {100 * ground.height_range:.0f} cm" if ground.uneven else "flat"
 
 
 def _on_ground(task: Task, terrain_seed: int | None) -> Task:

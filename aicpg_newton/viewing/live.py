@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time as clock
-from dataclasses import dataclass
+import webbrowser
+from collections import deque
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -15,7 +19,9 @@ import warp as wp
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot.humanoid import CONTROL_RATE
+from aicpg_newton.viewing.desk import Desk, Readings, Restart, Turn
 from aicpg_newton.viewing.output import writable_path
+from aicpg_newton.viewing.page import Panel
 from aicpg_newton.viewing.stage import Floor, Stage
 
 VIEWER_KINDS = ("viser", "gl", "rerun", "usd", "none")
@@ -37,24 +43,18 @@ LIVE_KINDS = ("viser", "gl", "rerun")
 """Those that somebody watches while the simulation runs."""
 
 
-@dataclass
-class Slider:
-    """A number that whoever watches may change, in ``viser`` and ``gl``."""
+_PACE_STEPS = round(CONTROL_RATE)
+"""Control steps over which the pace is taken: a second."""
 
-    label: str
-    """What it says beside it."""
-    value: float
-    """Where it stands."""
-    minimum: float
-    """Its lower end."""
-    maximum: float
-    """Its upper end."""
-    moved: bool = False
-    """Whether anybody has moved it."""
 
-    def move(self, value: float) -> None:
-        """Put it there."""
-        self.value, self.moved = value, True
+def missing_packages(kind: str) -> list[str]:
+    """What pip has to install before a viewer of this kind can be opened."""
+    return [package for module, package in _PACKAGES[kind].items() if find_spec(module) is None]
+
+
+def has_screen() -> bool:
+    """Whether somebody sits in front of this machine, so that a browser can be opened."""
+    return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 class LiveViewer:
@@ -69,7 +69,8 @@ class LiveViewer:
         num_robots: Number of humanoids shown.
         path: File that ``usd`` writes, ending in ``.usd``; unused by the others.
         terrain: Shape of the ground; None for a plane.
-        slider: A number to put into the viewer's panel; others ask it for its value.
+        desk: Where the viewer's panel sends wishes; None for no panel. In ``viser`` that is all that a desk offers, in
+            ``gl`` a slider for the stride frequency of all robots, and Reset.
 
     Raises:
         UserError: The kind is unknown, its package is not installed, there is no display or no path.
@@ -81,13 +82,13 @@ class LiveViewer:
         num_robots: int = 1,
         path: Path | str | None = None,
         terrain: Terrain | None = None,
-        slider: Slider | None = None,
+        desk: Desk | None = None,
     ) -> None:
         if kind not in VIEWER_KINDS:
             raise UserError(f"there is no viewer '{kind}'; choose one of {', '.join(VIEWER_KINDS)}")
         if num_robots < 1:
             raise UserError(f"a viewer of {num_robots} robots is not possible; give at least 1")
-        missing = [package for module, package in _PACKAGES[kind].items() if find_spec(module) is None]
+        missing = missing_packages(kind)
         if missing:
             raise UserError(f"the {kind} viewer needs packages not installed; run: pip install {' '.join(missing)}")
         file = None
@@ -98,19 +99,37 @@ class LiveViewer:
         self._paced = kind in LIVE_KINDS
         self._viewer: Any = None
         self._started: tuple[float, float] | None = None
+        self._panel: Panel | None = None
+        self._moments: deque[tuple[float, float]] = deque(maxlen=_PACE_STEPS)
         if kind == "none":
             return
         self._viewer = _open(kind, file)
-        self._stage = Stage(num_robots, floor=Floor.FIXED if kind == "usd" else Floor.TREADMILL, terrain=terrain)
+        self._num_robots, self._floor = num_robots, Floor.FIXED if kind == "usd" else Floor.TREADMILL
+        self.stand_on(terrain)
+        if desk is not None and kind in ("viser", "gl"):
+            self._viewer.set_reset_callback(lambda: desk.ask(Restart()))
+            if kind == "viser":
+                self._panel = Panel(self._viewer.server.gui, desk)
+            elif desk.frequencies:
+                self._viewer.register_ui_callback(_slider(desk))
+
+    def stand_on(self, terrain: Terrain | None) -> None:
+        """Put the robots on this ground; None for a plane."""
+        if self._viewer is None:
+            return
+        self._stage = Stage(self._num_robots, floor=self._floor, terrain=terrain)
         self._viewer.set_model(self._stage.model)
         # From the front right, slightly above; the distance lets all lanes fit.
-        distance = 3.2 + 1.0 * (num_robots if terrain is None else 1)
+        distance = 3.2 + 1.0 * (self._num_robots if terrain is None else 1)
         self._viewer.set_camera(wp.vec3(0.55 * distance, -0.83 * distance, 1.6), pitch=-10.0, yaw=123.0)
-        if slider is not None:
-            _add_slider(kind, self._viewer, slider)
 
     def show(
-        self, root_position: torch.Tensor, root_rotation: torch.Tensor, joint_position: torch.Tensor, time: float
+        self,
+        root_position: torch.Tensor,
+        root_rotation: torch.Tensor,
+        joint_position: torch.Tensor,
+        time: float,
+        readings: Readings | None = None,
     ) -> None:
         """Show one control step, and wait until its time has come, or for as long as the viewer is paused.
 
@@ -119,6 +138,7 @@ class LiveViewer:
             root_rotation: Pelvis rotations (x, y, z, w), shape [n, 4].
             joint_position: Joint angles [rad], shape [n, 28].
             time: Simulated time [s].
+            readings: What the panel shows, where there is one.
         """
         if self._viewer is None:
             return
@@ -126,6 +146,8 @@ class LiveViewer:
         self._draw(time)
         if self._paced:
             self._wait(time)
+        if self._panel is not None and readings is not None:
+            self._panel.show(readings, self._pace(time))
         while not self._viewer.should_step() and self._viewer.is_running():
             clock.sleep(_PAUSE)
             self._draw(time)
@@ -145,6 +167,15 @@ class LiveViewer:
         # The first step, time set back, or a machine that does not keep up: start counting from here.
         self._started = (time, now)
 
+    def _pace(self, time: float) -> float:
+        """Simulated time that has passed in a second of real time, over the last steps; 1 where nothing is known."""
+        moments = self._moments
+        if moments and not 0.0 < time - moments[-1][0] < 2.0 / CONTROL_RATE:
+            moments.clear()  # time was set back
+        moments.append((time, clock.perf_counter()))
+        (began, began_at), (now, now_at) = moments[0], moments[-1]
+        return (now - began) / (now_at - began_at) if len(moments) == moments.maxlen else 1.0
+
     def is_running(self) -> bool:
         """Whether somebody may still be looking: False once a window is closed."""
         return self._viewer is None or bool(self._viewer.is_running())
@@ -162,22 +193,17 @@ class LiveViewer:
         self.close()
 
 
-def _add_slider(kind: str, viewer: Any, slider: Slider) -> None:
-    """Put a slider into the panel of a viewer that has one."""
-    if kind == "viser":
-        with viewer.server.gui.add_folder("Controller", order=-1.0):
-            handle = viewer.server.gui.add_slider(
-                slider.label, slider.minimum, slider.maximum, step=0.01, initial_value=slider.value
-            )
-        handle.on_update(lambda event: slider.move(float(event.target.value)))
-    elif kind == "gl":
+def _slider(desk: Desk) -> Callable[[Any], None]:
+    """What draws a slider for the stride frequency of all robots into a window's panel."""
+    value = desk.frequencies[0]
 
-        def draw(panel: Any) -> None:
-            changed, value = panel.slider_float(slider.label, slider.value, slider.minimum, slider.maximum, "%.2f")
-            if changed:
-                slider.move(value)
+    def draw(panel: Any) -> None:
+        nonlocal value
+        changed, value = panel.slider_float("f [Hz]", value, desk.lowest, desk.highest, "%.2f")
+        if changed:
+            desk.ask(Turn(value))
 
-        viewer.register_ui_callback(draw)
+    return draw
 
 
 def _open(kind: str, path: Path | None) -> Any:
@@ -185,7 +211,9 @@ def _open(kind: str, path: Path | None) -> Any:
         if kind == "viser":
             # This machine only: a server in the cloud is reached through an SSH tunnel, not from everywhere.
             viewer = newton.viewer.ViewerViser(host="127.0.0.1", label="AI-CPG", verbose=False)
-            print(f"viewer: open {viewer.url} in a browser")
+            print(f"viewer: open {viewer.url} in a browser", flush=True)
+            if has_screen():
+                webbrowser.open(viewer.url)
             return viewer
         if kind == "gl":
             return newton.viewer.ViewerGL(width=1280, height=720)

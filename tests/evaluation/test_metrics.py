@@ -30,11 +30,6 @@ def landings(contact: torch.Tensor, period: float) -> list[int]:
     return metrics.touch_downs(contact, torch.tensor([period]))[:, 0, 0].nonzero().squeeze(1).tolist()
 
 
-def test_froude_number():
-    """2.05 m/s is 4.2025 / (9.81 x 0.855) = 0.501, as the paper says of the transition."""
-    assert metrics.froude_number(torch.tensor(2.05)).item() == pytest.approx(0.50104, abs=1e-4)
-
-
 def test_mechanical_power_adds_joints_and_counts_braking():
     """3 N m at -2 rad/s and -4 N m at -1 rad/s are 6 + 4 W."""
     torque, velocity = torch.zeros(2, 28), torch.zeros(2, 28)
@@ -130,12 +125,6 @@ def test_a_walk_is_symmetric_half_a_stride_apart(pattern: PatternNetwork):
     limp[..., joint_index("left_knee")] *= 0.5
     assert metrics.symmetry_index(limp, everything(300), half).item() > 0.05
     assert torch.isnan(metrics.symmetry_index(angles, everything(300), torch.tensor([math.nan]))).all()
-
-
-def test_feet_on_ground():
-    """5 % of 48.9 kg x 9.81 m/s^2 are 24 N, upwards; sideways force is not support."""
-    force = torch.tensor([[[0.0, 0.0, 23.0], [0.0, 0.0, 25.0]], [[400.0, 0.0, 0.0], [0.0, 0.0, -400.0]]])
-    assert metrics.feet_on_ground(force).tolist() == [[False, True], [False, False]]
 
 
 def test_touch_downs_skip_bounces_and_scuffs():

@@ -9,17 +9,19 @@ import pytest
 import torch
 from PIL import Image
 
-from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.environment import engine_for
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.playing import options as options_module
 from aicpg_newton.playing import outputs, sources
 from aicpg_newton.playing.options import PlayOptions
 from aicpg_newton.playing.play import play
-from aicpg_newton.playing.rollout import Tally, kinematic_frames, physical_frames
+from aicpg_newton.playing.rollout import Tally, kinematic_frames
+from aicpg_newton.viewing.desk import Turn
 from aicpg_newton.viewing.filmstrip import TILE_HEIGHT
 
 
@@ -98,41 +100,20 @@ def test_mocap_agent_makes_pictures(tmp_path: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize("agent", ["zero", "random"])
 def test_agents_without_a_checkpoint(agent, capsys: pytest.CaptureFixture):
     """They fall, and the table says so."""
-    tally = play(PlayOptions(agent=agent, num_envs=3, duration=2.0, device="cpu"), get_task("flat"))
+    tally = play(PlayOptions(agent=agent, num_envs=3, duration=2.0, device="cpu", viewer="none"), get_task("flat"))
     assert tally.steps == 120
     assert tally.falls.sum() >= 1
     assert "falls" in capsys.readouterr().out
 
 
-def test_the_slider_turns_the_frequency(puppet, pattern: PatternNetwork):
-    """Of all robots, by a quarter of a hertz a second, from when it is moved until they are there."""
-    task = get_task("flat")
-    environment = Environment(task, puppet(2), pattern)
-    environment.restart(torch.tensor([0.9, 1.3]))
-    slider = sources.slider_for(environment)
-    assert (slider.value, slider.minimum, slider.maximum) == (0.9, 0.7, 1.5)
-    tally = Tally(environment.commands.frequency)
-    frames = physical_frames(environment, lambda observed: observed.new_zeros(len(observed), 28), 130, tally)
-    seen = []
-    for step, frame in enumerate(sources.turned(frames, environment, slider)):
-        seen.append(frame.frequency.tolist())
-        if step == 9:
-            slider.move(1.25)
-    assert seen[:11] == [pytest.approx([0.9, 1.3])] * 11  # a command is obeyed when the coming step is over
-    assert seen[11] == pytest.approx([0.9 + 0.25 / 60, 1.3 - 0.25 / 60])
-    assert seen[70] == pytest.approx([1.15, 1.25], abs=1e-4)
-    assert seen[-1] == pytest.approx([1.25, 1.25])
-    assert tally.frequency.tolist() == pytest.approx([0.9, 1.3])
-
-
 def test_a_live_viewer_runs_until_it_is_interrupted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
-    """For an hour if nothing else is said; Ctrl-C ends it with the table, and a hint if the slider was moved."""
+    """For an hour if nothing else is said; Ctrl-C ends it with the table, and a hint if f was turned."""
 
     class Watcher:
-        """Somebody who moves the slider at once and presses Ctrl-C in the third step."""
+        """Somebody who turns f at once and presses Ctrl-C in the third step."""
 
         def __init__(self, *arguments) -> None:
-            self.slider, self.steps = arguments[-1], 0
+            self.desk, self.steps = arguments[-1], 0
 
         def __enter__(self):
             return self
@@ -144,7 +125,7 @@ def test_a_live_viewer_runs_until_it_is_interrupted(monkeypatch: pytest.MonkeyPa
             return True
 
         def show(self, *_) -> None:
-            self.slider.move(1.0)
+            self.desk.ask(Turn(1.0))
             self.steps += 1
             if self.steps == 3:
                 raise KeyboardInterrupt
@@ -153,9 +134,30 @@ def test_a_live_viewer_runs_until_it_is_interrupted(monkeypatch: pytest.MonkeyPa
     options = PlayOptions(agent="zero", num_envs=3, viewer="viser", device="cpu")
     assert options.steps() == 3600 * 60
     assert replace(options, viewer="none").steps() == replace(options, record=Path("a.mp4")).steps() == 600
+    assert (options.robots, replace(options, num_envs=None).robots) == (3, 3)
+    assert replace(options, num_envs=None, frequency=(1.0,)).robots == 1
     assert play(options, get_task("flat")).steps == 3
     printed = capsys.readouterr().out
     assert "turned by hand" in printed and "speed [m/s]" in printed
+
+
+def test_without_a_word_it_shows_itself(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys):
+    """The page where there is a screen; a recording under a free name where there is none, or no package."""
+    monkeypatch.chdir(tmp_path)
+    screen, missing = [True], [[]]
+    monkeypatch.setattr(options_module, "has_screen", lambda: screen[0])
+    monkeypatch.setattr(options_module, "missing_packages", lambda kind: missing[0])
+    assert PlayOptions().settled().viewer == "viser"
+    missing[0] = ["viser"]
+    assert PlayOptions().settled().record == Path("play.mp4")
+    assert "pip install viser" in capsys.readouterr().out
+    screen[0] = False
+    Path("play.mp4").touch()
+    settled = PlayOptions().settled()
+    assert (settled.viewer, settled.record, settled.robots) == ("none", Path("play_2.mp4"), 12)
+    strip = PlayOptions(filmstrip=Path("a.png")).settled()
+    assert (strip.viewer, strip.record) == ("none", None)
+    assert PlayOptions(viewer="none").settled().record is None
 
 
 def test_a_checkpoint_plays_with_its_own_task(tmp_path: Path, capsys: pytest.CaptureFixture):
@@ -165,7 +167,14 @@ def test_a_checkpoint_plays_with_its_own_task(tmp_path: Path, capsys: pytest.Cap
     speeds = []
     for engine in ("mujoco", "newton"):
         options = PlayOptions(
-            checkpoint=last, frequency=(1.0,), num_envs=2, duration=0.4, device="cpu", engine=engine, seed=4
+            checkpoint=last,
+            frequency=(1.0,),
+            num_envs=2,
+            duration=0.4,
+            device="cpu",
+            engine=engine,
+            seed=4,
+            viewer="none",
         )
         tally = play(options, task)
         speeds.append(tally.distance)
@@ -178,7 +187,7 @@ def test_a_checkpoint_plays_with_its_own_task(tmp_path: Path, capsys: pytest.Cap
 def test_the_shipped_network_walks_and_runs_on_both_engines(capsys: pytest.CaptureFixture):
     """Without a checkpoint the shipped one plays: in 5 s nobody falls at 0.9 and 1.3 Hz, and f sets the speed."""
     for engine, num_envs in (("mujoco", 16), ("newton", 4)):
-        options = PlayOptions(frequency=(0.9, 1.3), num_envs=num_envs, duration=5.0, device="cpu", engine=engine)
+        options = PlayOptions(frequency=(0.9, 1.3), num_envs=num_envs, duration=5.0, engine=engine, viewer="none")
         tally = play(options, get_task("flat"))
         slow, fast = tally.distance[: num_envs // 2].mean() / 5.0, tally.distance[num_envs // 2 :].mean() / 5.0
         assert tally.falls.sum() == 0
@@ -236,9 +245,11 @@ def test_methods_without_frequency(tmp_path: Path, capsys: pytest.CaptureFixture
     assert len(tally.table().splitlines()) == 2
     assert played[0].method == method.partition(":")[0]
     with pytest.raises(UserError, match=rf"--frequency does nothing to a network trained as {title}"):
-        play(PlayOptions(checkpoint=last, frequency=(0.9,), device="cpu"), get_task("flat"))
+        play(PlayOptions(checkpoint=last, frequency=(0.9,), viewer="none"), get_task("flat"))
     # The gait that it was trained with is played back at any frequency.
-    assert play(PlayOptions(checkpoint=last, agent="mocap", duration=0.1), get_task("flat")).follows_frequency
+    assert play(
+        PlayOptions(checkpoint=last, agent="mocap", duration=0.1, viewer="none"), get_task("flat")
+    ).follows_frequency
 
 
 def test_mocap_walks_on_a_plane_and_says_so(capsys: pytest.CaptureFixture, tmp_path: Path):
@@ -254,7 +265,7 @@ def test_a_task_without_a_shipped_network(monkeypatch: pytest.MonkeyPatch, tmp_p
     """One sentence says what to give."""
     monkeypatch.setattr(checkpoint.places, "ASSETS", tmp_path)
     with pytest.raises(UserError, match="no trained policy ships for task 'uneven'"):
-        play(PlayOptions(task="uneven", device="cpu"), get_task("uneven"))
+        play(PlayOptions(task="uneven", viewer="none"), get_task("uneven"))
 
 
 @pytest.mark.parametrize(
@@ -276,4 +287,4 @@ def test_a_task_without_a_shipped_network(monkeypatch: pytest.MonkeyPatch, tmp_p
 def test_bad_options(changes: dict, message: str):
     """One sentence each."""
     with pytest.raises(UserError, match=message):
-        play(PlayOptions(**{"device": "cpu", **changes}), get_task("flat"))
+        play(PlayOptions(**{"device": "cpu", "viewer": "none", **changes}), get_task("flat"))

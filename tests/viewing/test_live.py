@@ -1,6 +1,5 @@
 """Live viewers, without a display."""
 
-import importlib
 import sys
 import time
 from importlib.util import find_spec
@@ -14,7 +13,8 @@ import torch
 from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot.humanoid import NUM_JOINTS
-from aicpg_newton.viewing import LiveViewer, Slider
+from aicpg_newton.viewing import Desk, LiveViewer
+from aicpg_newton.viewing.desk import Restart, Turn
 
 
 def pose(robots=1):
@@ -82,6 +82,10 @@ class FakeViewer:
         """Take what draws a panel."""
         self.panel = callback
 
+    def set_reset_callback(self, callback) -> None:
+        """Take what Reset does."""
+        self.reset = callback
+
     def is_running(self) -> bool:
         """Stop after 13 frames, as a window that is closed."""
         return len(self.times) < 13
@@ -128,20 +132,22 @@ def test_a_paused_viewer_holds_the_simulation(monkeypatch):
 
 
 def test_a_slider_in_a_window(monkeypatch):
-    """It is drawn with its value and ends, and moves when the panel says so, not before."""
+    """It is drawn with its value and ends, and asks for another frequency when it is moved, not before; Reset too."""
     fake(monkeypatch)
-    slider = Slider("f [Hz]", 0.9, 0.7, 1.5)
+    desk = Desk(frequencies=[0.9], lowest=0.7, highest=1.5)
     drawn = []
 
     def slider_float(*arguments) -> tuple[bool, float]:
         drawn.append(arguments)
-        return len(drawn) == 2, 1.2
+        return len(drawn) == 2, 1.2 if len(drawn) > 1 else 0.9
 
-    with LiveViewer("gl", 1, slider=slider) as viewer:
-        for moved in (False, True, True):
+    with LiveViewer("gl", 1, desk=desk) as viewer:
+        for wishes in ([], [Turn(1.2)], []):
             viewer._viewer.panel(SimpleNamespace(slider_float=slider_float))
-            assert slider.moved == moved
+            assert list(desk.asked()) == wishes
+        viewer._viewer.reset()
     assert [arguments[:4] for arguments in drawn] == [("f [Hz]", value, 0.7, 1.5) for value in (0.9, 0.9, 1.2)]
+    assert list(desk.asked()) == [Restart()]
 
 
 def test_display_that_cannot_be_opened(monkeypatch):
@@ -181,26 +187,6 @@ def test_no_viewer_shows_nothing():
             viewer.show(*pose(), time=float(step))
         assert time.perf_counter() - began < 1.0
         assert viewer.is_running()
-
-
-@pytest.mark.skipif(find_spec("viser") is None, reason="viser is not installed")
-def test_viser_opens_and_closes(monkeypatch):
-    """The real browser viewer takes poses, and its slider moves ours."""
-    gui = importlib.import_module("viser").GuiApi
-    handles, add_slider = [], gui.add_slider
-    monkeypatch.setattr(gui, "add_slider", lambda *a, **b: handles.append(add_slider(*a, **b)) or handles[-1])
-    slider = Slider("f [Hz]", 0.9, 0.7, 1.5)
-    with LiveViewer("viser", 2, slider=slider) as viewer:
-        for step in range(3):
-            viewer.show(*pose(2), time=step / 60)
-        assert viewer.is_running()
-        (handle,) = handles
-        assert (handle.value, handle.min, handle.max) == (0.9, 0.7, 1.5)
-        handle.value = 1.2
-        began = time.perf_counter()
-        while not slider.moved and time.perf_counter() - began < 5.0:
-            time.sleep(0.01)
-    assert (slider.moved, slider.value) == (True, 1.2)
 
 
 @pytest.mark.skipif(find_spec("pxr") is None, reason="usd-core is not installed")
