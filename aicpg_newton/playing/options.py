@@ -37,7 +37,7 @@ class PlayOptions:
     """Simulated time [s]; when not given 10, and in a live viewer an hour, which Ctrl-C ends."""
     agent: Literal["policy", "zero", "random", "mocap"] = "policy"
     """policy: the trained network; zero: the CPG alone; random: noise on it; mocap: the gait on a plane, no physics."""
-    viewer: Literal["auto", "viser", "gl", "rerun", "usd", "none"] = "auto"
+    viewer: Literal["auto", "viser", "gl", "usd", "none"] = "auto"
     """viser: a page in the browser to turn f, push, and change the ground; gl: a window with a slider for f; usd writes
     play.usd. auto: if nothing is to be written, the page, or a recording on a machine without a screen."""
     record: Path | None = None

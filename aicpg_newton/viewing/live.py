@@ -24,13 +24,12 @@ from aicpg_newton.viewing.output import writable_path
 from aicpg_newton.viewing.page import Panel
 from aicpg_newton.viewing.stage import Floor, Stage
 
-VIEWER_KINDS = ("viser", "gl", "rerun", "usd", "none")
-"""viser: in a browser; gl: a window; rerun: Rerun in a browser; usd: a file to open elsewhere; none: nothing."""
+VIEWER_KINDS = ("viser", "gl", "usd", "none")
+"""viser: in a browser; gl: a window; usd: a file to open elsewhere; none: nothing."""
 
 _PACKAGES = {
     "viser": {"viser": "viser"},
     "gl": {"pyglet": "pyglet", "imgui_bundle": "imgui-bundle"},
-    "rerun": {"rerun": "rerun-sdk"},
     "usd": {"pxr": "usd-core"},
     "none": {},
 }
@@ -39,7 +38,7 @@ _PACKAGES = {
 _PAUSE = 1.0 / 30.0
 """Time between two looks at a paused viewer's panel [s]."""
 
-LIVE_KINDS = ("viser", "gl", "rerun")
+LIVE_KINDS = ("viser", "gl")
 """Those that somebody watches while the simulation runs."""
 
 
@@ -61,7 +60,7 @@ class LiveViewer:
     """Shows poses while they are computed, one second of simulation in one second of time.
 
     On a plane, robots of different environments stand side by side, robot 0 at the left of the direction of travel; on
-    a terrain they are where they are. In ``viser``, ``gl`` and ``rerun`` they are on :attr:`Floor.TREADMILL`, so that
+    a terrain they are where they are. In ``viser`` and ``gl`` they are on :attr:`Floor.TREADMILL`, so that
     robot 0 stays in the picture while the user is free to turn the camera; ``usd`` keeps world positions.
 
     Args:
@@ -106,7 +105,7 @@ class LiveViewer:
         self._viewer = _open(kind, file)
         self._num_robots, self._floor = num_robots, Floor.FIXED if kind == "usd" else Floor.TREADMILL
         self.stand_on(terrain)
-        if desk is not None and kind in ("viser", "gl"):
+        if desk is not None and kind in LIVE_KINDS:
             self._viewer.set_reset_callback(lambda: desk.ask(Restart()))
             if kind == "viser":
                 self._panel = Panel(self._viewer.server.gui, desk)
@@ -217,8 +216,6 @@ def _open(kind: str, path: Path | None) -> Any:
             return viewer
         if kind == "gl":
             return newton.viewer.ViewerGL(width=1280, height=720)
-        if kind == "rerun":
-            return newton.viewer.ViewerRerun(app_id="aicpg")
         return newton.viewer.ViewerUSD(str(path), fps=round(CONTROL_RATE), num_frames=None)
     except Exception as error:  # OpenGL and servers raise many types
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

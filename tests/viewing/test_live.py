@@ -26,7 +26,7 @@ def pose(robots=1):
 
 def test_unknown_viewer():
     """An unknown kind is refused with the kinds there are."""
-    with pytest.raises(UserError, match="viser, gl, rerun, usd, none"):
+    with pytest.raises(UserError, match="viser, gl, usd, none"):
         LiveViewer("screen")
 
 
@@ -35,7 +35,6 @@ def test_unknown_viewer():
     [
         ("viser", "viser", "viser"),
         ("gl", "pyglet", "pyglet"),
-        ("rerun", "rerun", "rerun-sdk"),
         ("usd", "pxr", "usd-core"),
     ],
 )
