@@ -7,17 +7,19 @@ import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.files import WholeFile
 from aicpg_newton.gait.cpg import Gait
-from aicpg_newton.motion.acclaim import FRAME_RATE, read_motion, read_skeleton
+from aicpg_newton.motion.acclaim import FRAME_RATE, check_clip, read_motion, read_skeleton
 from aicpg_newton.motion.cycles import gait_cycle
 from aicpg_newton.motion.figure import save_figure
 from aicpg_newton.motion.fit import fit_pattern_network
 from aicpg_newton.motion.retarget import flat_soles, retarget
+from aicpg_newton.ranges import Range, check_ranges
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Fit:
     """Motion of a straight run (.amc)."""
     out: Path
     """Network file to write; the picture goes beside it with the suffix .png."""
-    frame_rate: tuple[float, ...] = ()
+    frame_rate: Annotated[tuple[float, ...], Range(1.0, 1000.0)] = ()
     """Frames per second of both clips, or of the walk and of the run; 120 when not given, as most of CMU's have."""
 
 
@@ -42,12 +44,15 @@ def fit(settings: Fit) -> None:
     Raises:
         UserError: A file is missing or broken, the clips do not fit together, or ``out`` cannot be written.
     """
+    check_ranges(settings, "--")
     picture = settings.out.with_suffix(".png")
     _check_output(settings, picture)
     skeleton = read_skeleton(settings.skeleton)
     rates = _frame_rates(settings)
     paths = {"walk": settings.walk, "run": settings.run}
     motions = {name: read_motion(path, skeleton, rates[name]) for name, path in paths.items()}
+    for motion in motions.values():
+        check_clip(motion)
     soles = flat_soles(skeleton, motions["walk"])
     cycles = [gait_cycle(retarget(skeleton, motion, soles), name) for name, motion in motions.items()]
     walk, run = (cycle.gait for cycle in cycles)
@@ -77,7 +82,7 @@ _STRIDES = {"walk": (0.6, 1.3), "run": (1.1, 2.0)}
 def _frame_rates(settings: Fit) -> dict[str, float]:
     """Frames per second of each clip [Hz]."""
     given = settings.frame_rate
-    if len(given) > 2 or not all(1.0 <= rate <= 1000.0 for rate in given):
+    if len(given) > 2:
         raise UserError(
             f"--frame-rate is {given}; give one number for both clips, or one for the walk and one for the run"
         )
@@ -105,8 +110,8 @@ def _check_output(settings: Fit, picture: Path) -> None:
         raise UserError(
             f"--out {out} must be a file for the network, as pattern_network.pt; the picture is written beside"
         )
-    inputs = {path.resolve() for path in (settings.skeleton, settings.walk, settings.run)}
-    if inputs & {out.resolve(), picture.resolve()}:
+    inputs = {os.path.realpath(path) for path in (settings.skeleton, settings.walk, settings.run)}
+    if inputs & {os.path.realpath(out), os.path.realpath(picture)}:
         raise UserError(f"--out {out} would overwrite a clip; give another name")
 
 

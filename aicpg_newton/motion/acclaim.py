@@ -7,6 +7,7 @@ the sides, legs apart), in which every rotation is the identity.
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +16,16 @@ import numpy as np
 import torch
 
 from aicpg_newton.errors import UserError
+from aicpg_newton.texts import number, read_text
 
 FRAME_RATE = 120.0
 """Frames per second of a :class:`Motion` [Hz], and of most CMU clips; AMC files do not say, and some have 60."""
 
 INCH = 0.0254
 """Lengths in an ASF are inches once divided by its length unit [m]."""
+
+_LARGEST = 1e6
+"""No position [inches] and no angle [deg] is as large."""
 
 ROOT = "root"
 _ROOT_ORDER = ["tx", "ty", "tz", "rx", "ry", "rz"]
@@ -127,20 +132,19 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
     """Numbered lines of a text file split into words, without comments and empty lines; LF or CRLF."""
     if not path.is_file():
         raise UserError(f"there is no file {path}; give the path of an existing Acclaim file")
-    text = path.read_text(encoding="utf-8", errors="replace")
-    numbered = ((number, line.split("#")[0].split()) for number, line in enumerate(text.splitlines(), start=1))
-    return [(number, words) for number, words in numbered if words]
+    lines = enumerate(re.split("\r\n|\n|\r", read_text(path)), start=1)
+    return [(place, words) for place, line in lines if (words := line.split("#")[0].split())]
 
 
 def _numbers(words: list[str]) -> list[float]:
-    """Finite numbers.
+    """Numbers of a size that lengths, positions and angles have.
 
     Raises:
-        ValueError: A word is no number, infinite or NaN.
+        ValueError: A word is no number, or beyond all that a subject can do.
     """
-    values = [float(word) for word in words]
-    if not all(map(math.isfinite, values)):
-        raise ValueError(f"{' '.join(words)} is not finite")
+    values = [number(word) for word in words]
+    if any(abs(value) > _LARGEST for value in values):
+        raise ValueError(f"{' '.join(words)[:60]} is not of this world")
     return values
 
 
@@ -156,14 +160,16 @@ def read_skeleton(path: Path) -> Skeleton:
     section, length, bones, parents = "", math.nan, {}, {}
     fields: dict[str, list[str]] = {}
     lines = _lines(path)
-    number, words = 0, [""]
+    place, words = 0, [""]
     try:
-        for number, words in lines:  # noqa: B007, read in the message below
+        for place, words in lines:  # noqa: B007, read in the message below
             key, rest = words[0].lower(), words[1:]
             if key.startswith(":"):
                 section = key
             elif section == ":units" and key == "length":
                 (length,) = _numbers(rest)
+                if length <= 0.0:
+                    raise ValueError("the unit of length must be positive")
             elif section == ":units" and key == "angle" and not rest[0].lower().startswith("deg"):
                 raise ValueError("angles must be in degrees")
             elif section == ":root" and key == "order" and [word.lower() for word in rest] != _ROOT_ORDER:
@@ -174,17 +180,19 @@ def read_skeleton(path: Path) -> Skeleton:
                 fields = {"dof": []}
             elif section == ":bonedata" and key == "end":
                 bone = _bone(fields, INCH / length)
+                if bone.name in bones or bone.name == ROOT:
+                    raise ValueError(f"bone {bone.name} stands twice")
                 bones[bone.name] = bone
             elif section == ":bonedata":
                 fields[key] = rest
             elif section == ":hierarchy" and key not in ("begin", "end"):
                 if words[0] != ROOT and words[0] not in parents:
                     raise ValueError(f"bone {words[0]} has children before it has a parent")
+                if len({*rest} - {*parents}) < len(rest):
+                    raise ValueError("a bone has two parents")
                 parents.update({child: words[0] for child in rest})
     except (ValueError, IndexError, KeyError, ZeroDivisionError) as error:
-        raise UserError(
-            f"{path} line {number} ({' '.join(words)[:40]}) is not as in a CMU skeleton: {error}"
-        ) from error
+        raise UserError(f"{path} line {place} ({' '.join(words)[:40]}) is not as in a CMU skeleton: {error}") from error
     missing = set(bones) ^ set(parents)
     if not bones or missing:
         what = f"bone {min(missing)} stands in only one of :bonedata and :hierarchy" if missing else "it has no bones"
@@ -195,12 +203,14 @@ def read_skeleton(path: Path) -> Skeleton:
 def _bone(fields: dict[str, list[str]], unit: float) -> Bone:
     """A bone from the words of its fields and the length unit [m]."""
     dof = tuple(word.lower() for word in fields["dof"])
-    if not set(dof) <= {"rx", "ry", "rz"}:
-        raise ValueError(f"bone {fields['name'][0]} has a degree of freedom that is not rx, ry or rz")
+    if not set(dof) <= {"rx", "ry", "rz"} or len(set(dof)) < len(dof):
+        raise ValueError(f"bone {fields['name'][0]} has degrees of freedom other than one each of rx, ry and rz")
     direction, axis = (torch.tensor(_numbers(fields[key][:3]), dtype=torch.float64) for key in ("direction", "axis"))
     if len(direction) != 3 or len(axis) != 3 or direction.norm() == 0:
         raise ValueError(f"bone {fields['name'][0]} needs three numbers for direction and axis")
     (length,) = _numbers(fields["length"])
+    if not (length > 0.0 and math.isfinite(length * unit)):
+        raise ValueError(f"bone {fields['name'][0]} has a length of {length:g}; lengths are positive")
     return Bone(fields["name"][0], direction / direction.norm(), length * unit, euler_matrix(axis), dof)
 
 
@@ -215,17 +225,20 @@ def read_motion(path: Path, skeleton: Skeleton, frame_rate: float = FRAME_RATE) 
     Raises:
         UserError: The file is missing or broken (the message gives the line), or does not belong to the skeleton.
     """
-    lines = [(number, words) for number, words in _lines(path) if not words[0].startswith(":")]
-    starts = [index for index, (_, words) in enumerate(lines) if len(words) == 1 and words[0].isdigit()]
+    lines = _lines(path)
+    if any(words[0].lower() == ":radians" for _, words in lines):
+        raise UserError(f"{path} is in radians, as its header says; give it in degrees, as CMU does")
+    lines = [(place, words) for place, words in lines if not words[0].startswith(":")]
+    starts = [i for i, (_, words) in enumerate(lines) if len(words) == 1 and re.fullmatch("[0-9]{1,9}", words[0])]
     if not starts or starts[0] != 0:
         raise UserError(f"{path} is not an Acclaim motion: it does not begin with frame 1; give an AMC file")
     frames: list[dict[str, list[float]]] = []
     for start, stop in zip(starts, [*starts[1:], len(lines)], strict=True):
-        number, words = lines[start]
+        place, words = lines[start]
         try:
             if int(words[0]) != int(lines[0][1][0]) + len(frames):
-                raise UserError(f"{path} line {number}: frame {words[0]} follows frame {len(frames)}; fetch it again")
-            frames.append(_frame(path, number, lines[start + 1 : stop], skeleton))
+                raise UserError(f"{path} line {place}: frame {words[0]} follows frame {len(frames)}; fetch it again")
+            frames.append(_frame(path, place, lines[start + 1 : stop], skeleton))
         except UserError:
             if stop < len(lines) or not frames or not _cut_short(lines[start + 1 : stop], skeleton):
                 raise
@@ -234,6 +247,20 @@ def read_motion(path: Path, skeleton: Skeleton, frame_rate: float = FRAME_RATE) 
     if frame_rate != FRAME_RATE:
         values = {name: _resampled(each, frame_rate, root=name == ROOT) for name, each in values.items()}
     return Motion(path.name, values)
+
+
+def check_clip(motion: Motion) -> None:
+    """Refuse what is read as a motion but is none of a person: a single frame, or angles in radians.
+
+    Raises:
+        UserError: It is.
+    """
+    angles = [values for name, values in motion.values.items() if name != ROOT]
+    if len(angles[0]) < 2:
+        raise UserError(f"{motion.source} has {len(angles[0])} whole frames, which is no motion; give a whole stride")
+    largest = max(float(each.abs().max()) for each in angles)
+    if largest <= 2.0 * math.pi:
+        raise UserError(f"{motion.source} has no angle above {largest:.1f}: it may be in radians; give it in degrees")
 
 
 def _resampled(values: torch.Tensor, frame_rate: float, *, root: bool) -> torch.Tensor:
@@ -259,8 +286,8 @@ def _frame(path: Path, start: int, lines: list[tuple[int, list[str]]], skeleton:
     """One frame's values, checked against the skeleton; ``start`` is the line of the frame's number."""
     expected = skeleton.channels()
     frame: dict[str, list[float]] = {}
-    for number, (name, *words) in lines:
-        where = f"{path} line {number}"
+    for place, (name, *words) in lines:
+        where = f"{path} line {place}"
         if name not in expected:
             state = "has no degree of freedom in" if name in skeleton.bones else "is unknown to"
             raise UserError(f"{where}: {name} {state} {skeleton.source}; give the skeleton of this motion's subject")
@@ -290,5 +317,11 @@ def _cut_short(lines: list[tuple[int, list[str]]], skeleton: Skeleton) -> bool:
     good = all(len(words) - 1 == expected.get(words[0]) for _, words in lines[:-1])
     last = lines[-1][1] if lines else [""]
     begins = any(name.startswith(last[0]) and len(last) - 1 <= count for name, count in expected.items())
-    finite = all(word.lower() not in ("nan", "inf", "-inf") for _, words in lines for word in words[1:])
-    return good and begins and finite and len(lines) <= len(expected)
+    try:
+        for _, words in lines[:-1]:
+            _numbers(words[1:])
+        _numbers(last[1:-1])  # the very last may be cut in its middle
+    except ValueError:
+        return False
+    cut = len(last) == 1 or re.fullmatch(r"[-+0-9.eE]+", last[-1]) is not None
+    return good and begins and cut and len(lines) <= len(expected)

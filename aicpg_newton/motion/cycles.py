@@ -32,6 +32,8 @@ ROOT_HARMONICS = 4
 _LEG_JOINTS = [joint_index(f"{side}_{joint}") for side in ("right", "left") for joint in ("hip_y", "knee")]
 _RIGHT_HIP, _LEFT_HIP = joint_index("right_hip_y"), joint_index("left_hip_y")
 _SLOWEST, _FASTEST = 0.3, 3.0  # stride frequencies of people [Hz]
+_LEAST_SPEED = 0.2  # [m/s]
+_STEEPEST, _SIDEWAYS = 15.0, 45.0  # [deg]
 _GLITCH = math.radians(6.0)
 _ROOT_MIRROR = (1.0, -1.0, 1.0, -1.0, 1.0, -1.0)  # x, y, z, roll, pitch, yaw under a reflection in y
 
@@ -159,6 +161,32 @@ def straighten(motion: RetargetedMotion, frequency: float) -> RetargetedMotion:
     )
 
 
+def _check_course(motion: RetargetedMotion, velocity: torch.Tensor) -> None:
+    """Refuse a clip that stands still, climbs, or goes another way than its pelvis faces.
+
+    Args:
+        motion: The clip.
+        velocity: Its mean velocity [m/s], shape [3].
+    """
+    speed = float(velocity.norm())
+    if speed < _LEAST_SPEED:
+        raise UserError(
+            f"{motion.source} does not progress ({speed:.2f} m/s); give a clip over ground, not one of a treadmill"
+        )
+    slope = math.degrees(math.asin(float(velocity[2]) / speed))
+    if abs(slope) > _STEEPEST:
+        raise UserError(f"{motion.source} rises by {slope:.0f} degrees; give a clip on a level floor, with y up")
+    ahead = rotations.rotate(motion.root_rotation, velocity.new_tensor((1.0, 0.0, 0.0)).expand(len(motion.angles), 3))
+    facing = ahead.mean(dim=0)
+    cosine = float(torch.nn.functional.cosine_similarity(facing[:2], velocity[:2], dim=0))
+    away = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
+    if away > _SIDEWAYS:
+        raise UserError(
+            f"the pelvis of {motion.source} faces {away:.0f} degrees away from where it goes; give a clip that walks or"
+            " runs straight forwards"
+        )
+
+
 def _average_stride(values: torch.Tensor, frequency: float) -> torch.Tensor:
     """Whole strides from the middle of a clip, averaged and closed, shape [frames, channels] to [PHASES, channels]."""
     period = FRAME_RATE / frequency
@@ -191,9 +219,10 @@ def gait_cycle(motion: RetargetedMotion, name: str) -> GaitCycle:
         right-minus-left hip flexion crosses zero upwards, and pose(phase + pi) is the mirror image of pose(phase).
 
     Raises:
-        UserError: No stride is found in the clip.
+        UserError: No stride is found in the clip, or it does not go forwards on a level floor.
     """
     frequency = stride_frequency(motion)
+    _check_course(motion, _steady_velocity(motion.root_position, frequency))
     straight = straighten(motion, frequency)
     velocity = _steady_velocity(straight.root_position, frequency)
     position = straight.root_position - frame_times(len(straight.angles)).unsqueeze(-1) * velocity

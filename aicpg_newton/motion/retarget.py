@@ -22,6 +22,9 @@ HUMANOID_FROM_ACCLAIM = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.
 
 SIDES = ("right", "left")
 
+_LEGS = (0.3, 1.4)
+"""Lengths of people's thigh and shin together, children's included [m]."""
+
 _FLAT_SHARE = 0.125
 """Share of a walk's frames in which a foot surely lies flat: about half of its mid-stance."""
 
@@ -190,12 +193,18 @@ def retarget(skeleton: Skeleton, motion: Motion, soles: dict[str, torch.Tensor])
         ball(f"{side}_shoulder", torso, upper_arm)
         hinge(f"{side}_elbow", upper_arm, lower_arm)
     bones = skeleton.bones
+    leg_length = 0.5 * sum(bones[side[0] + bone].length for side in SIDES for bone in ("femur", "tibia"))
+    if not _LEGS[0] <= leg_length <= _LEGS[1]:
+        raise UserError(
+            f"thigh and shin of {skeleton.source} are {leg_length:.2f} m long, but people's {_LEGS[0]} to {_LEGS[1]}:"
+            " its unit of length may not be what it says; mend it"
+        )
     return RetargetedMotion(
         source=motion.source.removesuffix(".amc"),
         angles=angles,
         root_position=0.5 * (subject.end("lhipjoint") + subject.end("rhipjoint")),
         root_rotation=_quaternion(pelvis),
-        leg_length=0.5 * sum(bones[side[0] + bone].length for side in SIDES for bone in ("femur", "tibia")),
+        leg_length=leg_length,
     )
 
 
