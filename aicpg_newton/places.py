@@ -23,3 +23,11 @@ def command(door: str) -> str:
     if INSTALLED:
         return f"aicpg-{door}"
     return "python -m aicpg_newton.evaluate" if door == "evaluate" else f"python {door}.py"
+
+
+def portable(path: Path) -> str:
+    """Name of a file or a folder that means something on other machines too: within the checkout, or its own."""
+    try:
+        return path.resolve().relative_to(_HOME).as_posix()
+    except ValueError:
+        return path.resolve().name

@@ -22,7 +22,7 @@ class Range:
     """Zero is out as well."""
 
     def __contains__(self, value: float) -> bool:
-        inside = self.least <= value <= self.most and math.isfinite(value)
+        inside = self.least <= value <= self.most and value not in (-math.inf, math.inf)  # integers may be any size
         return inside and not (self.positive and value <= 0)
 
     def __str__(self) -> str:
@@ -40,7 +40,7 @@ ANY = Range()
 POSITIVE = Range(0.0, positive=True)
 NOT_NEGATIVE = Range(0.0)
 SHARE = Range(0.0, 1.0)
-AT_LEAST_ONE = Range(1)
+AT_LEAST_ONE = Range(1, 2**31 - 1)
 ENVIRONMENTS = Range(1, 1_000_000)
 """Robots that are simulated at once."""
 

@@ -7,13 +7,16 @@ import pytest
 import torch
 import yaml
 
+from aicpg_newton import places
+from aicpg_newton import publish as publishing
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.stored import to_dict
 from aicpg_newton.env.task import Learning
 from aicpg_newton.errors import UserError
+from aicpg_newton.evaluation.protocols import SWEEP
 from aicpg_newton.learning import checkpoint
-from aicpg_newton.publish import PublishOptions, publish
-from aicpg_newton.robot import humanoid
+from aicpg_newton.publish import PublishOptions, publish, without_machine
+from aicpg_newton.robot.fingerprint import fingerprint
 
 
 def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):
@@ -44,7 +47,7 @@ def test_published_checkpoints_play_but_have_no_optimiser(tmp_path: Path):
     del config["task"]
     assert config == {
         "run": {"seed": 0},
-        "humanoid": humanoid.version(),
+        "humanoid": fingerprint(),
         "trained": {"iterations": 9, "samples": 900},
     }
 
@@ -73,3 +76,84 @@ def test_no_policy_for_an_unknown_task():
     """The message says what to do."""
     with pytest.raises(UserError, match="no trained policy ships for task 'moon'"):
         checkpoint.shipped("moon")
+
+
+def written(folder: Path, run: dict | None = None, iteration: int = 1) -> Path:
+    """A checkpoint of nothing much."""
+    path = folder / f"model_{iteration}.pt"
+    checkpoint.write(
+        path,
+        task=to_dict(get_task("uneven")),
+        pattern={},
+        observations=[],
+        run=run or {},
+        iteration=iteration,
+        samples=1,
+        algorithm={"actor_state_dict": {}, "critic_state_dict": {}},
+    )
+    return path
+
+
+def test_what_ships_is_replaced_only_when_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    """Old and new are shown either way."""
+    monkeypatch.setattr(publishing, "side_by_side", lambda old, options: f"{old.name} beside {options.checkpoint.name}")
+    out = tmp_path / "policies"
+    target = publish(PublishOptions(checkpoint=written(tmp_path), out=out))
+    assert "beside" not in capsys.readouterr().out
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    newer = written(tmp_path, iteration=7)
+    with pytest.raises(UserError, match=r"uneven.pt ships already and stays as it is; give --replace"):
+        publish(PublishOptions(checkpoint=newer, out=out))
+    assert "uneven.pt beside model_7.pt" in capsys.readouterr().out
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+    publish(PublishOptions(checkpoint=newer, out=out, replace=True))
+    assert "uneven.pt beside model_7.pt" in capsys.readouterr().out
+    assert checkpoint.read(target)["iteration"] == 7
+
+
+def test_a_configuration_alone_is_kept_too(tmp_path: Path):
+    """Somebody may have written it by hand."""
+    (tmp_path / "uneven.yaml").write_text("mine", encoding="utf-8")
+    with pytest.raises(UserError, match=r"uneven.yaml ships already"):
+        publish(PublishOptions(checkpoint=written(tmp_path), out=tmp_path))
+    assert (tmp_path / "uneven.yaml").read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize(
+    ("told", "kept"),
+    [
+        ("/home/me/runs/flat/2026-01-02 (5 samples)", "2026-01-02 (5 samples)"),
+        ("/home/me/runs/flat.pt", "flat.pt"),
+        ("~/runs/flat/ (5 samples), begun with /tmp/x.pt", "flat (5 samples), begun with x.pt"),
+        (r"C:\\Users\\me\\flat.pt (5 samples)", "flat.pt (5 samples)"),
+        ("assets/policies/flat.pt (5 samples)", "assets/policies/flat.pt (5 samples)"),
+        ("robust, walk/run at 1.1 m/s", "robust, walk/run at 1.1 m/s"),
+    ],
+)
+def test_no_folder_of_a_machine_is_published(told: str, kept: str, tmp_path: Path):
+    """Neither in the checkpoint nor beside it."""
+    assert without_machine({"start_from": told, "deep": [told, 3]}) == {"start_from": kept, "deep": [kept, 3]}
+    target = publish(PublishOptions(checkpoint=written(tmp_path, {"start_from": told}), out=tmp_path / "out"))
+    assert checkpoint.read(target)["run"] == {"start_from": kept}
+    assert yaml.safe_load(target.with_suffix(".yaml").read_text(encoding="utf-8"))["run"] == {"start_from": kept}
+
+
+def test_origins_are_told_without_the_machine(tmp_path: Path):
+    """Within the checkout by their place, elsewhere by their name."""
+    assert places.portable(places.ASSETS / "policies" / "flat.pt") == "assets/policies/flat.pt"
+    assert places.portable(tmp_path / "run" / "model_9.pt") == "model_9.pt"
+
+
+@pytest.mark.slow
+def test_both_are_tested(monkeypatch: pytest.MonkeyPatch):
+    """With the sweep, cut short."""
+    brief = replace(SWEEP, duration=2.5, frequencies=(0.9, 1.2))
+    monkeypatch.setattr(publishing, "SWEEP", brief)
+    shipped = checkpoint.shipped("robust")
+    table = publishing.side_by_side(shipped, PublishOptions(checkpoint=shipped, num_envs=2, device="cpu"))
+    lines = table.splitlines()
+    assert lines[0].split()[:4] == ["f", "[Hz]", "never", "fell"]
+    for line in lines[2:]:
+        numbers = line.split()[1:]
+        assert numbers[::2] == numbers[1::2] and len(numbers) == 10
+    assert len(lines) == 4

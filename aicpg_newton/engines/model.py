@@ -20,6 +20,7 @@ from aicpg_newton.engines.interface import Physics
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot.humanoid import FOOT_NAMES, GRAVITY, JOINT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors
+from aicpg_newton.robot.mjcf import checked
 
 ROOT_COORDINATES = 7
 """Position and quaternion of the free joint come first in Newton's joint coordinates."""
@@ -56,12 +57,14 @@ def build(
         The builder, ready to be finalized on a device, and the layout of one world.
 
     Raises:
-        UserError: The MJCF does not hold the humanoid's 28 joints and 13 links.
+        UserError: :func:`~aicpg_newton.robot.mjcf.checked` refuses the MJCF, or it does not hold the humanoid's 28
+            joints and 13 links.
     """
+    spec = checked(mjcf)
     robot = newton.ModelBuilder(up_axis=newton.Axis.Z, gravity=(0.0, 0.0, -GRAVITY))
     SolverMuJoCo.register_custom_attributes(robot)
     robot.add_mjcf(str(mjcf), enable_self_collisions=False)
-    layout = _layout(robot, mjcf)
+    layout = _layout(robot, spec, mjcf.name)
     # MuJoCo takes the larger friction of two touching shapes, so robot and ground get the same.
     robot.shape_material_mu = [physics.friction] * robot.shape_count
     # In Newton's own order: the table's row of the joint that stands at each hinge.
@@ -124,7 +127,7 @@ def make_solver(model: newton.Model, physics: Physics, **options: Any) -> Solver
     )
 
 
-def _layout(robot: newton.ModelBuilder, mjcf: Path) -> Layout:
+def _layout(robot: newton.ModelBuilder, spec: mujoco.MjSpec, source: str) -> Layout:
     """Find joints, links and feet by name; Newton merges the hinges of a link into one joint, in the file's order."""
 
     def names(labels: list[str]) -> list[str]:
@@ -133,13 +136,13 @@ def _layout(robot: newton.ModelBuilder, mjcf: Path) -> Layout:
     links, shapes = names(robot.body_label), names(robot.shape_label)
     hinges_of_link = {
         body.name: [joint.name for joint in body.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
-        for body in mujoco.MjSpec.from_file(str(mjcf)).bodies
+        for body in spec.bodies
     }
     hinges = [hinge for child in robot.joint_child for hinge in hinges_of_link[links[child]]]
     if sorted(hinges) != sorted(JOINT_NAMES) or sorted(links) != sorted(LINK_NAMES):
         raise UserError(
-            f"{mjcf.name} holds {len(hinges)} joints and {len(links)} links that are not the humanoid's {NUM_JOINTS}"
-            f" joints and {len(LINK_NAMES)} links; use the names of aicpg_newton/humanoid.py"
+            f"{source} holds {len(hinges)} joints and {len(links)} links that are not the humanoid's {NUM_JOINTS}"
+            f" joints and {len(LINK_NAMES)} links; use the names of aicpg_newton/robot/humanoid.py"
         )
     return Layout(
         joints=tuple(hinges.index(name) for name in JOINT_NAMES),

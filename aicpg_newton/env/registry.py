@@ -63,14 +63,21 @@ def task_from_dict(content: Any, source: str) -> Task:
         source: Where it comes from, for messages.
 
     Raises:
-        UserError: A setting is unknown, or has the wrong kind of value.
+        UserError: A setting is unknown, out of its range, or has the wrong kind of value.
     """
     if not isinstance(content, dict) or not isinstance(content.get("name"), str):
         raise UserError(f"{source} holds no task of this version; use the version of the code that wrote it")
     content = brought_up_to_date(content)
     name = content["name"]
-    plain = _find(name) or Task(name=name)
-    return updated(with_method(plain, content.get("method", DEFAULT_METHOD)), content, source)
+    method = content.get("method", DEFAULT_METHOD)
+    if not isinstance(method, str):
+        raise UserError(f"{source} holds {method!r} for method; it is broken, fetch it again")
+    task = updated(with_method(_find(name) or Task(name=name), method), content, source)
+    try:
+        task.validate()
+    except UserError as error:
+        raise UserError(f"{source} holds settings that cannot be: {error}") from error
+    return task
 
 
 def _find(name: str) -> Task | None:

@@ -59,8 +59,12 @@ def updated(settings: _Settings, content: Any, source: str) -> _Settings:
         elif isinstance(own, dict):
             value = _updated_entries(own, value, name, source)
         elif typing.get_origin(hint) is tuple:
+            if not isinstance(value, (list, tuple)):
+                raise UserError(f"{source} holds {value!r} for {name}; it should be a list")
+            for each in value:
+                _check_kind(typing.get_args(hint)[0], each, name, source)
             value = tuple(value)
-        elif typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
+        elif typing.get_origin(hint) is Literal and not (isinstance(value, str) and value in typing.get_args(hint)):
             raise UserError(f"{source} holds {value!r} for {name}; it should be one of {typing.get_args(hint)}")
         elif hint in (int, float, bool, str):
             _check_kind(hint, value, name, source)
@@ -82,14 +86,15 @@ def _updated_entries(own: dict[str, Any], content: Any, title: str, source: str)
 
 
 def _check_kind(kind: type, value: Any, name: str, source: str) -> None:
-    if not isinstance(value, (int, float) if kind is float else kind):
+    right = isinstance(value, (int, float) if kind is float else kind)
+    if not right or (isinstance(value, bool) and kind is not bool):
         raise UserError(f"{source} holds {value!r} for {name}; it should be of type {kind.__name__}")
 
 
 def _refuse_unknown(content: Any, names: set[str], title: str, source: str) -> None:
     if isinstance(content, dict) and set(content) <= names:
         return
-    different = ", ".join(sorted(set(content) - names)) if isinstance(content, dict) else "no settings"
+    different = ", ".join(sorted(map(str, set(content) - names))) if isinstance(content, dict) else "no settings"
     raise UserError(
         f"{source} holds settings of another version ({title}: {different}); use the version of the code that wrote it"
     )
@@ -137,3 +142,11 @@ _BEFORE = {
 _RENAMED = {"reflex_energy": "action_energy"}
 _TERM_OF = {"pattern_tracking": "ai-cpg", "target_speed": "ppo"}
 _SETTINGS_OF = {"reflex": ("ai-cpg", "ppo"), "target_speed": ("ppo",), "reference": ("amp",), "imitation": ("amp",)}
+
+_SAME_HUMANOID = {"60eacc976df0": "5ad37ed817ac"}
+"""Fingerprints of the humanoid's file, as they once were, and of the facts that stood in it."""
+
+
+def same_humanoid(fingerprint: str) -> str:
+    """A checkpoint's fingerprint of the humanoid, in today's way: see :mod:`aicpg_newton.robot.fingerprint`."""
+    return _SAME_HUMANOID.get(fingerprint, fingerprint)

@@ -91,10 +91,11 @@ def trained(path: Path, task: Task | None = None) -> Controller:
     """
     files = checkpoint.all_of(path) if path.is_dir() else [path]
     last = Trained.read(files[-1])
+    checkpoint.require_run(last.content, files[-1])
     own = last.task
     return Controller(
         method=get_method(own.method).title,
-        seed=int(last.content["run"]["seed"]),
+        seed=last.content["run"]["seed"],
         task=own if task is None else on_task(own, task),
         pattern=last.pattern,
         files=files,

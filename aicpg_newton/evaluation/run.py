@@ -41,6 +41,7 @@ from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.policy import load_policy
 from aicpg_newton.playing.rollout import no_action
 from aicpg_newton.robot import humanoid
+from aicpg_newton.robot.fingerprint import fingerprint
 from aicpg_newton.robot.locomotion import CONTACT_FORCE
 
 _IDLE = 1.0  # stride frequency of the rhythm generator where nothing follows it [Hz]
@@ -118,7 +119,7 @@ class Laboratory:
             "cpu_threads": torch.get_num_threads(),
             "environments": self.num_envs,
             "seed": self.seed,
-            "humanoid": humanoid.version(),
+            "humanoid": fingerprint(),
             "versions": {
                 "aicpg_newton": aicpg_newton.__version__,
                 "python": platform.python_version(),

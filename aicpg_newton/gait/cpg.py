@@ -18,6 +18,7 @@ from torch import nn
 from aicpg_newton.errors import UserError
 from aicpg_newton.places import ASSETS
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE, JOINT_NAMES, NUM_JOINTS
+from aicpg_newton.tensor_files import read_tensors, write_tensors
 
 WINDOW = 50
 """Number of phase oscillators, i in Eq. 2; a control step apart."""
@@ -26,6 +27,7 @@ DEFAULT_PATTERN = ASSETS / "pattern_network.pt"
 """Weights fitted on CMU clips 35_08 (walk) and 35_17 (run)."""
 
 _FORMAT = 1
+_KEYS = {"format", "joint_names", "control_rate", "gaits", "weights"}
 
 
 def rhythm_window(phase: torch.Tensor, frequency: torch.Tensor) -> torch.Tensor:
@@ -205,17 +207,19 @@ class PatternNetwork(nn.Module):
         Raises:
             UserError: The content is of another kind or format, for other joints, or holds non-finite weights.
         """
-        if not isinstance(content, dict) or content.get("format") != _FORMAT or "weights" not in content:
+        if not isinstance(content, dict) or content.get("format") != _FORMAT or set(content) != _KEYS:
             raise UserError(f"{source} is not a pattern network of this version; fit one with aicpg_newton.motion")
-        if tuple(content["joint_names"]) != JOINT_NAMES or content["control_rate"] != CONTROL_RATE:
+        names, rate = content["joint_names"], content["control_rate"]
+        if not isinstance(names, list) or tuple(names) != JOINT_NAMES or rate != CONTROL_RATE:
+            count = len(names) if isinstance(names, list) else "no"
             raise UserError(
-                f"{source} was fitted for {len(content['joint_names'])} joints at {content['control_rate']} Hz that are"
-                f" not this humanoid's {NUM_JOINTS} at {CONTROL_RATE} Hz; fit it again with aicpg_newton.motion"
+                f"{source} was fitted for {count} joints at {rate} Hz that are not this humanoid's {NUM_JOINTS} at"
+                f" {CONTROL_RATE} Hz; fit it again with aicpg_newton.motion"
             )
-        network = cls(tuple(Gait(**gait) for gait in content["gaits"]))
+        network = cls(_gaits(content["gaits"], source))
         try:
             network.load_state_dict(content["weights"])
-        except RuntimeError as error:
+        except (RuntimeError, TypeError, AttributeError) as error:
             raise UserError(
                 f"{source} does not hold a {WINDOW}-128-128-{NUM_JOINTS} pattern network; fit it again with"
                 " aicpg_newton.motion"
@@ -226,7 +230,7 @@ class PatternNetwork(nn.Module):
 
     def save(self, path: Path) -> None:
         """Write the network and its gaits to a file."""
-        torch.save(self.content(), path)
+        write_tensors(self.content(), path)
 
     @classmethod
     def load(cls, path: Path = DEFAULT_PATTERN) -> PatternNetwork:
@@ -237,10 +241,27 @@ class PatternNetwork(nn.Module):
         """
         if not path.is_file():
             raise UserError(f"no pattern network at {path}; fit one with python -m aicpg_newton.motion")
-        try:
-            content = torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:  # torch raises many types on torn files
-            raise UserError(
-                f"{path} cannot be read as a pattern network; it may be cut short, fetch it again"
-            ) from error
-        return cls.from_content(content, str(path))
+        return cls.from_content(read_tensors(path, "a pattern network", "fetch it again"), str(path))
+
+
+def _gaits(content: Any, source: str) -> tuple[Gait, ...]:
+    """The gaits of :meth:`PatternNetwork.content`.
+
+    Raises:
+        UserError: They are not a slower and a faster gait of finite numbers.
+    """
+    try:
+        gaits = tuple(Gait(**each) for each in content)
+        facts = torch.tensor([[gait.frequency, gait.speed] for gait in gaits], dtype=torch.float64)
+        series = torch.tensor([gait.root_harmonics for gait in gaits], dtype=torch.float64)
+        named = all(isinstance(gait.name, str) and isinstance(gait.source, str) for gait in gaits)
+        rising = len(gaits) >= 2 and bool((facts.diff(dim=0) > 0).all()) and bool((facts > 0).all())
+        whole = series.ndim == 3 and series.shape[1] % 2 == 1 and series.shape[2] == 6
+        finite = bool(torch.isfinite(facts).all() and torch.isfinite(series).all())
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise UserError(f"{source} holds no gaits of this version; fit it again with aicpg_newton.motion") from error
+    if not (named and rising and whole and finite):
+        raise UserError(
+            f"{source} holds no slower and faster gait of finite numbers; fit it again with aicpg_newton.motion"
+        )
+    return gaits

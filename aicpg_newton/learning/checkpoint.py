@@ -6,17 +6,27 @@ import re
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from aicpg_newton import places
+from aicpg_newton.env.stored import same_humanoid
 from aicpg_newton.errors import UserError
 from aicpg_newton.files import WholeFile
-from aicpg_newton.robot import humanoid
+from aicpg_newton.robot.fingerprint import fingerprint
+from aicpg_newton.tensor_files import read_tensors, write_tensors
 
 FORMAT = 1
 """Raised when the content changes its meaning."""
 
 _KEYS = {"format", "humanoid", "task", "pattern", "run", "iteration", "samples", "algorithm"}
+_KINDS = {
+    "humanoid": str,
+    "task": dict,
+    "pattern": dict,
+    "run": dict,
+    "iteration": int,
+    "samples": int,
+    "algorithm": dict,
+}
+_OF_A_RUN = ("seed", "num_envs")
 _LATER = {"observations"}
 """Keys that checkpoints of the first version do not have."""
 _NAME = re.compile(r"model_(\d+)\.pt")
@@ -47,7 +57,7 @@ def write(
     """
     content = {
         "format": FORMAT,
-        "humanoid": humanoid.version(),
+        "humanoid": fingerprint(),
         "task": task,
         "pattern": pattern,
         "observations": observations,
@@ -71,20 +81,37 @@ def read(path: Path) -> dict[str, Any]:
     path = latest(path) if path.is_dir() else path
     if not path.is_file():
         raise UserError(f"no checkpoint at {path}; give a model_*.pt file or a run folder that holds one")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many types on torn files
-        raise UserError(
-            f"{path} cannot be read as a checkpoint and may be cut short; delete it to go on from the one before"
-        ) from error
+    content = read_tensors(path, "a checkpoint", "delete it to go on from the one before")
     if not isinstance(content, dict) or content.get("format") != FORMAT or set(content) - _LATER != _KEYS:
         raise UserError(f"{path} is not a checkpoint of this version of aicpg_newton; use the version that wrote it")
-    if content["humanoid"] != humanoid.version():
+    for name, kind in _KINDS.items():
+        if not isinstance(content[name], kind) or isinstance(content[name], bool):
+            raise UserError(f"{path} holds no {kind.__name__} for {name}; it is broken, fetch it again")
+    told = [content["run"][name] for name in _OF_A_RUN if name in content["run"]]
+    if any(not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**32 for value in told):
         raise UserError(
-            f"{path} was trained on humanoid {content['humanoid']}, but this is {humanoid.version()};"
+            f"{path} holds no numbers for {' and '.join(_OF_A_RUN)} of its run; it is broken, fetch it again"
+        )
+    if min(content["iteration"], content["samples"]) < 0:
+        raise UserError(f"{path} was trained for fewer than no iterations; it is broken, fetch it again")
+    content["humanoid"] = same_humanoid(content["humanoid"])
+    if content["humanoid"] != fingerprint():
+        raise UserError(
+            f"{path} was trained on humanoid {content['humanoid'][:12]}, but this is {fingerprint()};"
             " check out the revision that trained it or train again"
         )
     return content
+
+
+def require_run(content: dict[str, Any], path: Path) -> None:
+    """Refuse to go on with, or to judge, what does not say how it was trained.
+
+    Raises:
+        UserError: It does not.
+    """
+    missing = [name for name in _OF_A_RUN if name not in content["run"]]
+    if missing:
+        raise UserError(f"{path} does not say the {missing[0]} of its run; it can be played, not resumed or judged")
 
 
 def without_optimiser(content: dict[str, Any]) -> dict[str, Any]:
@@ -94,6 +121,8 @@ def without_optimiser(content: dict[str, Any]) -> dict[str, Any]:
         content: What :func:`read` returned.
     """
     networks = ("actor_state_dict", "critic_state_dict")
+    if not set(networks) <= set(content["algorithm"]):
+        raise UserError("the checkpoint holds no actor and critic; it is broken, fetch it again")
     algorithm = {name: content["algorithm"][name] for name in networks}
     return {**content, "algorithm": algorithm}
 
@@ -104,8 +133,8 @@ def save(content: dict[str, Any], path: Path) -> None:
     Raises:
         UserError: The disk does not take it.
     """
-    with WholeFile(path) as temporary, temporary.open("wb") as file:  # on its own torch hides why it cannot write
-        torch.save(content, file)
+    with WholeFile(path) as temporary:
+        write_tensors(content, temporary)
 
 
 def shipped(task: str) -> Path:

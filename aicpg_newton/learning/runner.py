@@ -154,7 +154,7 @@ class Runner(OnPolicyRunner):
             )
         try:
             self.alg.load(content["algorithm"], load_cfg=parts, strict=True)
-        except (RuntimeError, ValueError, KeyError) as error:
+        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
             learning = content["task"]["learning"]
             sizes = " ".join(map(str, learning["hidden_sizes"]))
             raise UserError(

@@ -31,7 +31,7 @@ from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.bookkeeping import claim, git_revision, new_folder, release, store_changes
 from aicpg_newton.learning.runner import Runner, TimeIsUp
 from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, POSITIVE, SEED, check_ranges
-from aicpg_newton.robot import humanoid
+from aicpg_newton.robot.fingerprint import fingerprint
 
 CONFIG_NAME = "config.yaml"
 
@@ -91,6 +91,8 @@ def train(task: Task, options: RunOptions) -> Path:
         raise UserError("--resume continues a run and --start-from begins a new one; give one of them")
     previous = None if options.resume is None else checkpoint.read(options.resume)
     start = None if options.start_from is None else checkpoint.read(options.start_from)
+    if previous is not None:
+        checkpoint.require_run(previous, options.resume or Path())
     if previous is not None and "optimizer_state_dict" not in previous["algorithm"]:
         raise UserError(
             f"{options.resume} holds no optimiser, it can only be played; resume from a run's own checkpoint"
@@ -141,7 +143,9 @@ def _train_in(
     """Train in a folder that is this run's own."""
     done = 0 if previous is None else previous["iteration"]
     begun = {"seed": options.seed or 0} if previous is None else previous["run"]
-    origin = begun.get("start_from") if start is None else f"{options.start_from} ({start['samples']} samples)"
+    origin = begun.get("start_from")
+    if start is not None and options.start_from is not None:
+        origin = f"{places.portable(options.start_from)} ({start['samples']} samples)"
     seed = begun["seed"] + done  # a resumed run does not draw the same numbers again
     torch.manual_seed(seed)
     print("Building the simulation; the first time on a machine, compiling its kernels can take two minutes.")
@@ -258,5 +262,5 @@ def _title(device: torch.device) -> str:
 
 def _write_config(path: Path, task: Task, run: dict[str, Any]) -> None:
     """Every setting as it was used."""
-    content = {"run": run, "humanoid": humanoid.version(), "task": plain(to_dict(task))}
+    content = {"run": run, "humanoid": fingerprint(), "task": plain(to_dict(task))}
     write_text(path, yaml.safe_dump(content, sort_keys=False))

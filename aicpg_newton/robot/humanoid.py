@@ -7,7 +7,6 @@ Everything else in the package speaks of joints in the order of :data:`JOINT_NAM
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -170,9 +169,3 @@ def torque_motors() -> Motors:
     """
     table = {name: replace(group, position_gain=0.01, velocity_gain=0.0) for name, group in JOINT_GROUPS.items()}
     return motors(table)
-
-
-def version() -> str:
-    """Fingerprint of the robot (geometry and motor table), stored in checkpoints: 12 hexadecimal digits."""
-    facts = MJCF_PATH.read_bytes() + repr((JOINT_NAMES, JOINT_GROUPS)).encode()
-    return hashlib.sha256(facts).hexdigest()[:12]

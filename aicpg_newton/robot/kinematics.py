@@ -16,6 +16,7 @@ import torch
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import FOOT_NAMES, JOINT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS
+from aicpg_newton.robot.mjcf import checked
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ def skeleton() -> Skeleton:
     Raises:
         UserError: The file does not hold the 13 links and 28 joints that :mod:`aicpg_newton.robot.humanoid` names.
     """
-    spec = mujoco.MjSpec.from_file(str(MJCF_PATH))
+    spec = checked(MJCF_PATH)
     bodies = [body for body in spec.bodies if body.name != "world"]
     links = tuple(body.name for body in bodies)
     hinges = {joint.name: joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE}

@@ -1,6 +1,9 @@
 """Checkpoint files: whole or not at all, and clear words about bad ones."""
 
 import errno
+import os
+import struct
+import zipfile
 from pathlib import Path
 from typing import IO
 
@@ -73,8 +76,109 @@ def test_missing_torn_and_foreign_files(tmp_path: Path):
 def test_another_humanoid_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A network trained on another robot is not played on this one."""
     write(tmp_path / "model_1.pt")
-    monkeypatch.setattr(checkpoint.humanoid, "version", lambda: "0123456789ab")
+    monkeypatch.setattr(checkpoint, "fingerprint", lambda: "0123456789ab")
     with pytest.raises(UserError, match="trained on humanoid"):
+        checkpoint.read(tmp_path / "model_1.pt")
+
+
+class Command:
+    """Runs a command when it is unpickled, if the reader lets it."""
+
+    def __init__(self, command: str) -> None:
+        self.command = command
+
+    def __reduce__(self) -> tuple:
+        return os.system, (self.command,)
+
+
+def hostile(kind: str, folder: Path) -> Path:
+    """A checkpoint by somebody who means harm."""
+    path = folder / "model_1.pt"
+    write(path)
+    content = torch.load(path, weights_only=True)
+    mark = folder / "mark"
+    if kind in ("pickle", "legacy"):
+        content["run"]["seed"] = Command(f"touch {mark}")
+        torch.save(content, path, _use_new_zipfile_serialization=kind == "pickle")
+    elif kind == "huge tensor":
+        content["algorithm"]["actor_state_dict"]["weight"] = torch.zeros(1).expand(10**12)
+        torch.save(content, path)
+    elif kind == "sparse":
+        content["algorithm"]["actor_state_dict"]["weight"] = torch.sparse_coo_tensor(
+            torch.tensor([[0]]), torch.tensor([1.0]), (10**12,)
+        )
+        torch.save(content, path)
+    elif kind == "laughs":
+        laughs: list = ["ha"]
+        for _ in range(30):
+            laughs = [laughs] * 10
+        content["run"]["seed"] = laughs
+        torch.save(content, path)
+    elif kind == "deep":
+        nested: list = []
+        for _ in range(300):
+            nested = [nested]
+        content["run"]["seed"] = nested
+        torch.save(content, path)
+    elif kind in ("bomb", "claim"):
+        with zipfile.ZipFile(path) as archive:
+            parts = {entry.filename: archive.read(entry) for entry in archive.infolist()}
+        packing = zipfile.ZIP_DEFLATED if kind == "bomb" else zipfile.ZIP_STORED
+        with zipfile.ZipFile(path, "w", packing) as archive:
+            for name, data in parts.items():
+                large = name.endswith("data/0")
+                archive.writestr(name, bytes(50_000_000) if large and kind == "bomb" else data)
+        if kind == "claim":  # a storage says that it is larger than it is
+            data = path.read_bytes()
+            assert data.count(struct.pack("<BH", ord("M"), 5000)) >= 1
+            path.write_bytes(data.replace(struct.pack("<BH", ord("M"), 5000), struct.pack("<BH", ord("M"), 60000)))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["pickle", "legacy", "huge tensor", "sparse", "laughs", "deep", "bomb", "claim"])
+def test_hostile_files_do_nothing_and_cost_nothing(kind: str, tmp_path: Path):
+    """Refused in a sentence: no code runs, and no memory is taken that the file does not have."""
+    path = hostile(kind, tmp_path)
+    with pytest.raises(UserError, match=r"cannot be read as a checkpoint"):
+        checkpoint.read(path)
+    assert not (tmp_path / "mark").exists()
+
+
+def test_the_hostile_pickle_would_have_run(tmp_path: Path):
+    """Otherwise the test above could not fail."""
+    path = hostile("pickle", tmp_path)
+    torch.load(path, weights_only=False)
+    assert (tmp_path / "mark").exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("iteration", "3"), ("iteration", True), ("samples", -1), ("run", []), ("humanoid", 3)]
+)
+def test_content_of_the_wrong_kind_is_refused(key: str, value: object, tmp_path: Path):
+    """Before anything is done with it."""
+    write(tmp_path / "model_1.pt")
+    content = checkpoint.read(tmp_path / "model_1.pt")
+    checkpoint.save({**content, key: value}, tmp_path / "model_1.pt")
+    with pytest.raises(UserError, match="it is broken, fetch it again"):
+        checkpoint.read(tmp_path / "model_1.pt")
+
+
+def test_checkpoints_are_read_in_one_place():
+    """Which is the one that is careful."""
+    root = Path(checkpoint.__file__).parents[1]
+    callers = [path.name for path in root.rglob("*.py") if "torch.load(" in path.read_text(encoding="utf-8")]
+    assert callers == ["tensor_files.py"]
+    assert (root / "tensor_files.py").read_text(encoding="utf-8").count("weights_only=True") == 1
+
+
+def test_checkpoints_from_before_facts_were_taken_are_of_this_humanoid(tmp_path: Path):
+    """They hold a fingerprint of the file's bytes; those of any other file are refused."""
+    write(tmp_path / "model_1.pt")
+    content = checkpoint.read(tmp_path / "model_1.pt")
+    checkpoint.save({**content, "humanoid": "60eacc976df0"}, tmp_path / "model_1.pt")
+    assert checkpoint.read(tmp_path / "model_1.pt")["humanoid"] == content["humanoid"]
+    checkpoint.save({**content, "humanoid": "60eacc976df1"}, tmp_path / "model_1.pt")
+    with pytest.raises(UserError, match="trained on humanoid 60eacc976df1"):
         checkpoint.read(tmp_path / "model_1.pt")
 
 

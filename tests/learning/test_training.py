@@ -24,7 +24,7 @@ from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.training import RunOptions, task_of, train, with_networks_of
-from aicpg_newton.robot import humanoid
+from aicpg_newton.robot.fingerprint import fingerprint
 
 
 def small_task(method: str = "ai-cpg") -> Task:
@@ -60,7 +60,7 @@ def test_run_folder(run: Path):
     assert config["run"]["num_envs"] == 4
     assert config["run"]["engine"] == "mujoco"
     assert config["run"]["device"] == config["run"]["learner_device"] == "cpu"
-    assert config["humanoid"] == humanoid.version()
+    assert config["humanoid"] == fingerprint()
     assert {"git_revision", "versions", "seed"} <= set(config["run"])
     log = EventAccumulator(str(run)).Reload()
     tags = set(log.Tags()["scalars"])
