@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import sys
 from collections.abc import Callable
+
+_PLACES = {
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EROFS,
+    errno.EACCES,
+    errno.EPERM,
+    errno.ENAMETOOLONG,
+    errno.EIO,
+}
+"""Faults of a disk or a folder, not of this package."""
 
 
 class UserError(Exception):
@@ -23,6 +37,15 @@ def run_command(command: Callable[[], object]) -> None:
         command()
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read the output has gone
+        sys.exit(1)
+    except OSError as error:
+        if error.errno not in _PLACES:
+            raise
+        where = f" {error.filename}" if error.filename else ""
+        print(f"error: cannot write or read{where} ({error.strerror}); make room or choose another", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -93,6 +94,23 @@ def write_text(path: Path, text: str) -> None:
     """
     with WholeFile(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """A folder that is gone afterwards.
+
+    Raises:
+        UserError: The system's temporary folder does not take what is written into it.
+    """
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            yield Path(folder)
+    except OSError as error:
+        place = os.environ.get("TMPDIR", "the temporary folder")
+        raise UserError(
+            f"cannot write into {place} ({error.strerror or error}); make room there, or set TMPDIR to another folder"
+        ) from error
 
 
 def _to_disk(path: Path) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -21,6 +20,7 @@ from aicpg_newton.engines.interface import BodyState, Physics, RobotState
 from aicpg_newton.engines.model import ROOT_DOFS, build, make_solver
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
+from aicpg_newton.files import temporary_folder
 from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import (
     FOOT_NAMES,
@@ -118,8 +118,8 @@ class MujocoEngine:
     def _load(self, motors: Motors, mjcf: Path) -> None:
         """Take over Newton's model, add sensors to it, and find the package's joints and links in it."""
         builder, layout = build(1, motors, self.physics, mjcf)
-        with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
-            path = Path(folder) / "humanoid.xml"
+        with temporary_folder() as folder, contextlib.redirect_stdout(io.StringIO()):
+            path = folder / "humanoid.xml"
             solver = make_solver(
                 builder.finalize(device="cpu"), self.physics, use_mujoco_cpu=True, save_to_mjcf=str(path)
             )

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import torch
 
+from aicpg_newton.errors import UserError
 from aicpg_newton.playing.options import PlayOptions
 from aicpg_newton.playing.rollout import Frame, Tally
 from aicpg_newton.playing.sources import Motion
@@ -111,13 +112,16 @@ class Filmstrip:
         """See :meth:`Output.finish`."""
         missing = [label for label, stride in self._strides.items() if stride.row is None]
         complete = [stride.row for stride in self._strides.values() if stride.row is not None]
-        if missing:
+        if missing and complete:
             print(
                 f"No whole stride without a fall within --duration at {', '.join(missing)}: left out of the filmstrip."
             )
-        if complete:
-            save_filmstrip(self._path, complete, self._terrain)
-            print(f"Filmstrip: {self._path}")
+        if not complete:
+            raise UserError(
+                f"no filmstrip to write to {self._path}: no robot did a whole stride; give a longer --duration"
+            )
+        save_filmstrip(self._path, complete, self._terrain)
+        print(f"Filmstrip: {self._path}")
 
 
 class _Stride:

@@ -99,11 +99,14 @@ class VideoWriter:
         """
         if self._writer is None:
             raise RuntimeError(f"the recording {self._path} is closed")
-        if self._steps == 0:
-            self._writer.send(None)  # starts the encoder
-        if self._steps % _STEPS_PER_FRAME == 0:
-            self._stage.pose(root_position, root_rotation, joint_position)
-            self._writer.send(self._frame(caption))
+        try:
+            if self._steps == 0:
+                self._writer.send(None)  # starts the encoder
+            if self._steps % _STEPS_PER_FRAME == 0:
+                self._stage.pose(root_position, root_rotation, joint_position)
+                self._writer.send(self._frame(caption))
+        except OSError as error:  # its message is the encoder's whole log
+            raise UserError(self._sorry) from error
         self._steps += 1
 
     def _frame(self, caption: str) -> np.ndarray:
@@ -115,14 +118,29 @@ class VideoWriter:
         """Finish the file and give it its name. Closing twice is harmless.
 
         Raises:
-            UserError: Nothing was added.
+            UserError: Nothing was added, or the disk does not take it; no file is left then.
         """
         if self._writer is None:
             return
         self._end()
         if self._steps == 0:
             raise UserError(f"nothing was added to {self._path}; no recording was written")
+        if not self._is_whole():
+            self._file.drop()
+            raise UserError(self._sorry)
         self._file.keep()
+
+    @property
+    def _sorry(self) -> str:
+        return f"cannot write {self._path} (the encoder could not go on); make room or choose another place"
+
+    def _is_whole(self) -> bool:
+        """Whether all frames are in the file: a full disk may show at its end, where the encoder does not say so."""
+        try:
+            frames, _ = imageio_ffmpeg.count_frames_and_secs(str(self._file.temporary))
+        except (OSError, RuntimeError):
+            return False
+        return frames == math.ceil(self._steps / _STEPS_PER_FRAME)
 
     def abort(self) -> None:
         """Give up the recording and remove what was written."""
