@@ -10,7 +10,6 @@ import tyro
 
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.controllers import Controller, cpg_alone, trained
 from aicpg_newton.evaluation.protocols import PROTOCOLS, TERRAIN_SEEDS
 from aicpg_newton.evaluation.run import Laboratory, evaluate
@@ -61,7 +60,6 @@ def main(options: EvaluateOptions) -> None:
         raise UserError("--redraw only draws figures from results that are there; leave --checkpoint out")
     if options.redraw:
         folders = list(options.redraw)
-        results.make_folder(options.out)
     else:
         folders = [options.out]
         controllers = _controllers(options)

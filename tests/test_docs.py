@@ -39,6 +39,14 @@ def test_named_files_are_there(page: Path):
         assert (ROOT / path).exists() or path == "tasks/quiet.py", path
 
 
+def test_what_reliability_rests_on_is_there():
+    """Every test that the page names, by file and function."""
+    named = re.findall(r"`([\w/]+\.py)(?:::(\w+))?`", (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8"))
+    assert len(named) > 30
+    for file, test in named:
+        assert f"def {test}" in (ROOT / "tests" / file).read_text(encoding="utf-8"), (file, test)
+
+
 def test_the_front_page_is_short():
     """What it is, how to begin, pictures, results in brief, links."""
     assert len((ROOT / "README.md").read_text().splitlines()) < 200

@@ -20,6 +20,7 @@ from typing import Any
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation.protocols import PROTOCOLS
 from aicpg_newton.files import write_text
+from aicpg_newton.texts import number, read_text
 
 Row = dict[str, Any]
 """Column to number or text; None or NaN for a cell without a number."""
@@ -95,29 +96,50 @@ def read_table(folder: Path, name: str) -> list[Row]:
     path = folder / f"{name}.csv"
     if not path.is_file():
         raise UserError(f"there is no {path}; run the {name} protocol first")
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
+    try:
+        reader = csv.DictReader(io.StringIO(read_text(path), newline=""), strict=True)
         if tuple(reader.fieldnames or ()) != PROTOCOLS[name].columns:
             raise UserError(f"{path} does not have the columns of the {name} protocol; evaluate again")
-        try:
-            return [
-                {key: text if key in _TEXT else float(text or "nan") for key, text in row.items()} for row in reader
-            ]
-        except ValueError as error:
-            raise UserError(f"{path} holds a cell that is not a number ({error}); evaluate again") from error
+        rows = list(reader)
+    except csv.Error as error:
+        raise UserError(f"{path} is no CSV file ({error}); evaluate again") from error
+    for row in rows:
+        if None in row or None in row.values():
+            raise UserError(f"{path} has a row of another length than its first; evaluate again")
+    try:
+        return [
+            {key: text if key in _TEXT else number(text) if text else math.nan for key, text in row.items()}
+            for row in rows
+        ]
+    except ValueError as error:
+        raise UserError(f"{path} holds a cell that is not a number ({error}); evaluate again") from error
 
 
 def read_description(folder: Path, name: str) -> dict[str, Any]:
     """Content of a protocol's JSON file.
 
     Raises:
-        UserError: The file is missing or torn.
+        UserError: The file is missing, torn or not of a protocol.
     """
     path = folder / f"{name}.json"
+    broken = UserError(f"{path} cannot be read; run the {name} protocol into another folder")
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path} cannot be read; run the {name} protocol into another folder") from error
+        content = json.loads(read_text(path))
+    except (ValueError, RecursionError, UserError) as error:
+        raise broken from error
+    lists = [content.get(key) for key in ("controllers", "results")] if isinstance(content, dict) else [None]
+    if not all(isinstance(each, list) and all(isinstance(entry, dict) for entry in each) for each in lists):
+        raise broken
+    if not all(
+        isinstance(each.get("method"), str) and isinstance(each.get("seed"), int) for each in content["results"]
+    ):
+        raise broken
+    return content
+
+
+def _number(text: str) -> float:
+    """Number of a CSV cell; NaN where it is empty."""
+    return number(text) if text else math.nan
 
 
 def _cell(value: Any) -> str:

@@ -58,7 +58,7 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
 
     Args:
         folders: Folders with CSV and JSON files.
-        out: Folder for the figures, which exists.
+        out: Folder for the figures.
 
     Returns:
         The PNG files.
@@ -84,11 +84,29 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
             rows += new
             description = results.read_description(folder, name)
             grounds.append(next((each.get("ground") for each in description["controllers"]), None))
+            if not all(
+                isinstance(each.get("method"), str) and isinstance(each.get("seed"), int)
+                for each in description["results"]
+            ):
+                raise UserError(f"{folder / name}.json does not say whose results it holds; evaluate again")
             details[name] |= {(each["method"], each["seed"]): each for each in description["results"]}
     if not any(tables.values()):
         raise UserError(f"no results in {', '.join(map(str, folders))}; run a protocol into that folder first")
     if any(ground != grounds[0] for ground in grounds):
         raise UserError("the folders hold results on different ground; draw those of one ground at a time")
+    try:
+        return _draw(tables, details, out, uneven=grounds[0] is not None)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        where = ", ".join(map(str, folders))
+        raise UserError(
+            f"the results in {where} are not whole ({type(error).__name__}: {error}); evaluate again"
+        ) from error
+
+
+def _draw(
+    tables: dict[str, list[Row]], details: dict[str, dict[tuple[str, int], dict]], out: Path, uneven: bool
+) -> list[Path]:
+    """Draw what there is."""
     paths = []
     if tables[SWEEP.name] or tables[DISTURBANCE.name]:
         paths.append(_save(_performance(tables[SWEEP.name], tables[DISTURBANCE.name]), out / "figure_3.png"))
@@ -101,7 +119,7 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
     if tables[TERRAIN.name]:
         paths.append(_save(walking_and_running_figure(tables[TERRAIN.name]), out / "figure_5b.png"))
     if tables[TRANSITION.name]:
-        figure = speed_and_froude_figure(tables[TRANSITION.name], uneven=grounds[0] is not None)
+        figure = speed_and_froude_figure(tables[TRANSITION.name], uneven=uneven)
         paths.append(_save(figure, out / "figure_6.png"))
     if tables[UP_AND_DOWN.name]:
         figure = hysteresis_figure(tables[UP_AND_DOWN.name], list(details[UP_AND_DOWN.name].values()))
@@ -112,6 +130,7 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
 
 
 def _save(figure: Figure, path: Path) -> Path:
+    results.make_folder(path.parent)
     with WholeFile(path) as temporary:
         figure.savefig(temporary, dpi=100, format="png")
     return path
