@@ -8,23 +8,27 @@ from contextlib import contextmanager
 
 import torch
 
+from aicpg_newton import launcher
 from aicpg_newton.errors import UserError
 
 
 def resolve_device(name: str) -> torch.device:
-    """Torch device of a name; ``auto`` is the first GPU, or the CPU with a line that says so.
+    """Torch device of a name; ``auto`` is a GPU, or the CPU with a line that says so.
+
+    The GPU that is meant where none is named is the first; of several processes on a machine each has its own.
 
     Args:
         name: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
 
     Raises:
-        UserError: The name is unknown, or names a GPU that is not there.
+        UserError: The name is unknown, names a GPU that is not there, or one GPU for several processes.
     """
+    place = launcher.place()
     if name == "auto":
-        if torch.cuda.is_available():
-            return torch.device("cuda:0")
-        print("No CUDA device found: running on the CPU.")
-        return torch.device("cpu")
+        if not torch.cuda.is_available():
+            print("No CUDA device found: running on the CPU.")
+            return torch.device("cpu")
+        name = "cuda"
     try:
         device = torch.device(name)
     except RuntimeError as error:
@@ -33,10 +37,13 @@ def resolve_device(name: str) -> torch.device:
         return torch.device("cpu")
     if device.type != "cuda":
         raise UserError(f"device {name!r} is not supported; choose auto, cpu or cuda:0")
+    if device.index is not None and place.local_size > 1:
+        raise UserError(f"device {name!r} is one GPU, but {place.local_size} processes run here; give --device cuda")
+    index = place.local_rank if device.index is None else device.index
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
-    if (device.index or 0) >= count:
-        raise UserError(f"device {name!r} is not there (CUDA devices found: {count}); use --device cpu")
-    return torch.device("cuda", device.index or 0)
+    if index >= count:
+        raise UserError(f"device 'cuda:{index}' is not there (CUDA devices found: {count}); use --device cpu")
+    return torch.device("cuda", index)
 
 
 def resolve_learner_device(name: str | None, engine: str, device: torch.device) -> torch.device:
@@ -69,9 +76,13 @@ def resolve_learner_device(name: str | None, engine: str, device: torch.device) 
 
 
 def cpu_cores() -> int:
-    """Cores that this process may use; where the system does not say (macOS, Windows), all there are."""
+    """Cores that this process may use: its share, where several processes of one training are on the machine.
+
+    Where the system does not say which are free to it (macOS, Windows), all there are.
+    """
     affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+    cores = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+    return max(1, cores // launcher.place().local_size)
 
 
 def reading_is_free(device: torch.device | str) -> bool:

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable
 
+from aicpg_newton import launcher
 _PLACES = {
     errno.ENOSPC,
     errno.EDQUOT,
@@ -25,18 +26,30 @@ class UserError(Exception):
     """Bad input: the message is one sentence that says what is wrong and what to do."""
 
 
-def run_command(command: Callable[[], object]) -> None:
+def run_command(command: Callable[[], object], *, alone: bool = True) -> None:
     """Run a command line; a :class:`UserError` becomes one line on stderr and exit status 2, without a traceback.
 
     Letters that the terminal does not have are spelled out, as those of a path in another encoding.
+
+    Args:
+        command: What is to be done.
+        alone: Refuse to be one of several processes of a launcher, each of which would do the same.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    who = ""
     try:
+        try:
+            place = launcher.place()
+        except ValueError as error:
+            raise UserError(f"{error}; start with torchrun, or unset these variables") from error
+        who = f"process {place.rank}: " if place.rank else ""
+        if alone and place.size > 1:
+            raise UserError("this command is for one process, only train.py is for several; start it without torchrun")
         command()
     except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"{who}error: {error}", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read the output has gone
@@ -48,5 +61,6 @@ def run_command(command: Callable[[], object]) -> None:
         print(f"error: cannot write or read{where} ({error.strerror}); make room or choose another", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        if not who:
+            print("interrupted", file=sys.stderr)
         sys.exit(130)

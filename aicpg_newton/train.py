@@ -78,7 +78,7 @@ def main() -> None:
 
 def command() -> None:
     """What ``train.py`` and ``aicpg-train`` do."""
-    run_command(main)
+    run_command(main, alone=False)
 
 
 if __name__ == "__main__":

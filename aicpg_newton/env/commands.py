@@ -23,6 +23,11 @@ class Commands:
     speed: torch.Tensor | None = None
     """Speed to reach [m/s]; None where none is told."""
 
+    def every(self, step: int, first: int) -> Commands:
+        """Those of every so manieth robot, from one of them on."""
+        given = {name: each for name, each in vars(self).items() if each is not None}
+        return Commands(**{name: each[first::step].clone() for name, each in given.items()})
+
 
 class FrequencyChanges:
     """Stride frequencies that go to other values at random times, for training.

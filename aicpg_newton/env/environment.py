@@ -58,9 +58,20 @@ class Environment(VecEnv):
         engine: Physics of ``num_envs`` humanoids and the ground they are on, from :func:`engine_for` the same task.
         pattern: The pattern network S.
         seed: Seed of start states, places and pushes.
+        rank: Number of this process among those that train together.
+        processes: Number of these. Commands are dealt to their robots in turn, so that each has the whole range.
     """
 
-    def __init__(self, task: Task, engine: Engine, pattern: PatternNetwork, *, seed: int = 0) -> None:
+    def __init__(
+        self,
+        task: Task,
+        engine: Engine,
+        pattern: PatternNetwork,
+        *,
+        seed: int = 0,
+        rank: int = 0,
+        processes: int = 1,
+    ) -> None:
         task.validate()
         self.task = task
         self.engine = engine
@@ -75,7 +86,7 @@ class Environment(VecEnv):
         self._generator = torch.Generator(device=self.device).manual_seed(seed)
 
         n, zeros = self.num_envs, torch.zeros(self.num_envs, device=self.device)
-        self.commands = task.commands(n, self.device)
+        self.commands = task.commands(n * processes, self.device).every(processes, rank)
         """What the robots are told; :meth:`command` changes it."""
         self._commands_to_come: Commands | None = None
         self._seen: View | None = None

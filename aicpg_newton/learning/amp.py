@@ -13,10 +13,10 @@ import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
+from rsl_rl.utils import reduce_gradients_in_buckets
 from tensordict import TensorDict
 
 from aicpg_newton.env.style import reference_motion
-from aicpg_newton.errors import UserError
 from aicpg_newton.learning.discriminator import Discriminator, least_squares, reward_of, squared_gradient
 from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.replay import ReplayBuffer
@@ -38,6 +38,9 @@ class AdversarialMotionPriors(BoundedPPO):
     The published loss has weight 5 beside PPO's. It would change nothing: no parameter is shared, and Adam's steps do
     not depend on the scale of a loss. For the same reason a separate Adam is the published joint one, except that
     rsl_rl's adaptive learning rate keeps to the policy.
+
+    Several processes that train together share the discriminator; each draws from its own pairs and its own replay
+    buffer. The first one's buffer is in the checkpoint, and all go on with it.
 
     Args:
         actor: Policy network.
@@ -71,12 +74,11 @@ class AdversarialMotionPriors(BoundedPPO):
         **ppo: Any,
     ) -> None:
         super().__init__(actor, critic, storage, device=device, **ppo)
-        if self.is_multi_gpu:
-            raise UserError("motion priors are learned on one GPU; start one process")
         self.reference = reference.to(device)
         state_size = self.reference.shape[-1]
         self.discriminator = Discriminator(state_size, discriminator_hidden_sizes).to(device)
         self.discriminator.normaliser.update(self.reference[:, 0])
+        self.discriminator.normaliser.count //= self.gpu_world_size  # each process has counted the same reference
         self.discriminator_optimizer = torch.optim.Adam(self.discriminator.parameters(), lr=discriminator_learning_rate)
         self.discriminator_batch = discriminator_batch
         self.gradient_penalty = gradient_penalty
@@ -173,6 +175,9 @@ class AdversarialMotionPriors(BoundedPPO):
             )
             self.discriminator_optimizer.zero_grad()
             loss.backward()
+            if self.is_multi_gpu:
+                parameters = self.discriminator.parameters()
+                reduce_gradients_in_buckets(parameters, self.gpu_world_size, self.grad_reduce_bucket_mb)
             self.discriminator_optimizer.step()
             accuracies = (reference_score > 0).float().mean(), (policy_score < 0).float().mean()
             totals += torch.stack((loss.detach(), penalty.detach(), *accuracies))
@@ -185,6 +190,12 @@ class AdversarialMotionPriors(BoundedPPO):
     def _draw(self, pairs: torch.Tensor, number: int) -> torch.Tensor:
         """Pairs drawn with replacement, shape [number, 2, N]."""
         return pairs[torch.randint(len(pairs), (number,), generator=self._generator)]
+
+    def broadcast_parameters(self) -> None:
+        """Give all processes the first one's networks and normalisers."""
+        super().broadcast_parameters()
+        for tensor in self.discriminator.state_dict().values():
+            torch.distributed.broadcast(tensor, src=0)
 
     def save(self) -> dict:
         """Everything needed to go on exactly: PPO's part and, under one key, the motion prior's."""
@@ -209,5 +220,6 @@ class AdversarialMotionPriors(BoundedPPO):
             self.discriminator.load_state_dict(prior["discriminator"], strict=strict)
             self.discriminator_optimizer.load_state_dict(prior["optimizer"])
             self.replay.load_state_dict(prior["replay"])
-            self._generator.set_state(prior["generator"].cpu())
+            if self.gpu_global_rank == 0:  # the others draw something else
+                self._generator.set_state(prior["generator"].cpu())
         return super().load(loaded_dict, load_cfg, strict)

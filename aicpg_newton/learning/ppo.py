@@ -11,9 +11,11 @@ from rsl_rl.algorithms import PPO
 from rsl_rl.extensions import Symmetry
 from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
+from tensordict import TensorDict
 
 from aicpg_newton.env.task import Schedule
 from aicpg_newton.errors import UserError
+from aicpg_newton.learning import distributed
 
 _STEP = 1.5
 """Factor by which the learning rate goes up or down."""
@@ -86,6 +88,10 @@ class BoundedPPO(PPO):
     minibatches it climbs to its ceiling within 50 iterations, and nothing is learned any more. Here the rate is adapted
     once, to the divergence after the whole update, and kept within bounds.
 
+    Where several processes train together (:mod:`aicpg_newton.learning.distributed`), an update is that of one process
+    with all their samples: rsl_rl averages gradients and normalisers, this class also what advantages are scaled by,
+    and the divergence.
+
     Args:
         actor: Policy network.
         critic: Value network.
@@ -125,6 +131,12 @@ class BoundedPPO(PPO):
         self._learning_rate = min(max(rate, low), high)
         for group in self.optimizer.param_groups:
             group["lr"] = self._learning_rate
+
+    def compute_returns(self, obs: TensorDict) -> None:
+        """Returns and advantages of the collected steps; the latter are standardised over all processes."""
+        super().compute_returns(obs)
+        if self.is_multi_gpu and not self.normalize_advantage_per_mini_batch:
+            self.storage.advantages = distributed.standardised(self.storage.returns - self.storage.values)
 
     def update(self) -> dict[str, float]:
         """Learn from the collected steps, then adapt the learning rate.
@@ -169,4 +181,5 @@ class BoundedPPO(PPO):
         picked = torch.randint(len(seen), (min(_PROBE, len(seen)),), device=self.device)
         before = tuple(values.flatten(0, 1)[picked] for values in storage.distribution_params)
         self.actor(seen[picked], stochastic_output=True)
-        return self.actor.get_kl_divergence(before, self.actor.output_distribution_params).mean().item()
+        here = self.actor.get_kl_divergence(before, self.actor.output_distribution_params).mean()
+        return distributed.mean(here).item()

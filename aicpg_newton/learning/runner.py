@@ -18,12 +18,16 @@ from aicpg_newton.env.observations import differences, layout, mirror_of
 from aicpg_newton.env.stored import to_dict
 from aicpg_newton.env.task import Learning
 from aicpg_newton.errors import UserError
-from aicpg_newton.learning import checkpoint
+from aicpg_newton.learning import checkpoint, distributed
 from aicpg_newton.learning.settings import runner_settings
 
 
 class TimeIsUp(Exception):
-    """The time for a run is over; its last checkpoint has just been written."""
+    """The time for a run is over; its last checkpoint has been written."""
+
+
+_REASONS: dict[int, type[BaseException]] = {1: TimeIsUp, 2: KeyboardInterrupt}
+"""Why several processes stop together; the greatest number counts."""
 
 
 class Runner(OnPolicyRunner):
@@ -49,6 +53,9 @@ class Runner(OnPolicyRunner):
     ) -> None:
         self.run = run
         self._deadline = time.monotonic() + seconds
+        self._reason_to_stop = 0
+        self.has_learned = False
+        """Whether there is anything to save that was not there before."""
         settings = runner_settings(environment.task, mirror_of(environment.blocks), run["seed"])
         log_dir = None if folder is None else str(folder)
         super().__init__(environment, settings, log_dir=log_dir, device=str(device or environment.device))
@@ -56,9 +63,15 @@ class Runner(OnPolicyRunner):
         self.alg.update = torch_threads(torch.get_num_threads())(self._checked(self.alg.update))
 
     def _configure_multi_gpu(self) -> None:
-        """One process, whatever a launcher has put into the environment: playing and judging do not care."""
-        self.gpu_world_size, self.gpu_local_rank, self.gpu_global_rank = 1, 0, 0
-        self.is_distributed, self.cfg["multi_gpu"] = False, None
+        """As many processes as :func:`distributed.joined` has met, whatever the environment's variables say."""
+        self.gpu_global_rank, self.gpu_world_size = distributed.rank(), distributed.size()
+        self.is_distributed = self.gpu_world_size > 1
+        places = {"global_rank": self.gpu_global_rank, "world_size": self.gpu_world_size}
+        self.cfg["multi_gpu"] = places if self.is_distributed else None
+
+    def stop_together(self) -> None:
+        """Stop before the next update, in all processes that train together; they agree on it then."""
+        self._reason_to_stop = 2
 
     def obey(self, wanted: Learning, before: Learning) -> None:
         """Take settings that a checkpoint's own state would overrule: the learning rate and the exploration.
@@ -78,13 +91,18 @@ class Runner(OnPolicyRunner):
                 distribution.log_std_param.fill_(math.log(wanted.initial_std))
 
     def _checked(self, update: Callable[[], dict[str, float]]) -> Callable[[], dict[str, float]]:
-        """An update that learns from nothing that is not a number."""
+        """An update that learns from nothing that is not a number, where nobody wants to stop."""
 
         def checked() -> dict[str, float]:
+            reason = distributed.greatest(self._reason_to_stop)
+            if reason:
+                raise _REASONS[reason]
             self.env.check()
             if self.logger.writer is not None:  # nobody else empties this list
                 self.logger.ep_extras.append({"Learning/rate": torch.tensor(self.alg.learning_rate)})
-            return update()
+            losses = update()
+            self.has_learned = True
+            return losses
 
         return checked
 
@@ -98,6 +116,7 @@ class Runner(OnPolicyRunner):
 
         Raises:
             TimeIsUp: The time given to this run is over.
+            KeyboardInterrupt: See :meth:`stop_together`.
         """
         super().learn(num_learning_iterations, init_at_random_ep_len)
 
@@ -105,7 +124,7 @@ class Runner(OnPolicyRunner):
         """Write a checkpoint after the current iteration.
 
         Raises:
-            TimeIsUp: The time given to this run is over.
+            TimeIsUp: The time given to this run is over; several processes first have to agree on that.
         """
         checkpoint.write(
             Path(path),
@@ -117,7 +136,9 @@ class Runner(OnPolicyRunner):
             samples=self.logger.tot_timesteps,
             algorithm=self.alg.save(),
         )
-        if time.monotonic() > self._deadline:
+        if time.monotonic() > self._deadline and self.is_distributed:
+            self._reason_to_stop = max(self._reason_to_stop, 1)
+        elif time.monotonic() > self._deadline:
             raise TimeIsUp
 
     def restore(self, content: dict[str, Any]) -> None:

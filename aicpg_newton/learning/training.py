@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
+import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -27,13 +27,15 @@ from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.files import write_text
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
-from aicpg_newton.learning import checkpoint
+from aicpg_newton.learning import checkpoint, distributed
 from aicpg_newton.learning.bookkeeping import claim, git_revision, new_folder, release, store_changes
 from aicpg_newton.learning.runner import Runner, TimeIsUp
 from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, POSITIVE, SEED, check_ranges
 from aicpg_newton.robot.fingerprint import fingerprint
 
 CONFIG_NAME = "config.yaml"
+_SEEDS_APART = 1_000_003
+"""Between the seeds of two processes; no run has as many iterations."""
 
 
 @dataclass(kw_only=True)
@@ -41,9 +43,10 @@ class RunOptions:
     """How and where to train, apart from the task."""
 
     num_envs: Annotated[int | None, ENVIRONMENTS] = None
-    """Number of environments; 8192 on CUDA and 256 on a CPU when not given."""
+    """Number of environments, of each process where torchrun starts several; 8192 on CUDA and 256 on a CPU when not
+    given."""
     device: str = "auto"
-    """auto, cpu or cuda:N."""
+    """auto, cpu or cuda:N; of several processes each takes its own GPU."""
     engine: str = "auto"
     """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
     learner_device: str | None = None
@@ -64,25 +67,46 @@ class RunOptions:
     """Checkpoint or run folder whose networks and pattern a new run begins with, as assets/policies/flat.pt."""
 
 
+@dataclass
+class _Plan:
+    """A run whose options have been found good."""
+
+    device: torch.device
+    learner_device: torch.device
+    pattern: PatternNetwork
+    num_envs: int
+    previous: dict[str, Any] | None
+    """Content of the checkpoint that is continued."""
+    start: dict[str, Any] | None
+    """Content of the checkpoint whose networks a new run begins with."""
+
+
 def train(task: Task, options: RunOptions) -> Path:
-    """Train the reflex network until ``max_iterations`` are done.
+    """Train the reflex network until ``max_iterations`` are done; with the other processes of a launcher, if any.
 
     Args:
         task: What is to be learned.
         options: How and where.
 
     Returns:
-        The last checkpoint.
+        The last checkpoint; in any but the first of several processes the run's folder, as they write nothing.
 
     Raises:
         UserError: An option cannot be met; nothing has been written then.
     """
+    with distributed.joined(), redirect_stdout(None if distributed.rank() else sys.stdout):
+        plan = distributed.together(lambda: _plan(task, options))
+        folder = distributed.from_first(lambda: _run_folder(task, options))
+        try:
+            return _train_in(folder, task, options, plan)
+        finally:
+            if distributed.rank() == 0:
+                release(folder)
+
+
+def _plan(task: Task, options: RunOptions) -> _Plan:
+    """Look at all options before anything slow."""
     task.validate()
-    if int(os.environ.get("WORLD_SIZE") or 1) > 1:
-        raise UserError(
-            f"WORLD_SIZE is {os.environ['WORLD_SIZE']}, as several processes that train together have it, which is not"
-            " possible yet; unset it to train in this process alone"
-        )
     check_ranges(options, "--")
     on_cpu = options.engine == "mujoco" and options.device == "auto"  # it runs nowhere else
     device = torch.device("cpu") if on_cpu else resolve_device(options.device)
@@ -122,44 +146,34 @@ def train(task: Task, options: RunOptions) -> Path:
     samples = num_envs * task.learning.steps_per_iteration
     if samples < task.learning.minibatches:
         raise UserError(f"{samples} samples do not fill learning.minibatches = {task.learning.minibatches}; lower it")
-    folder = _run_folder(task, options)
-    try:
-        return _train_in(folder, task, options, device, learner_device, pattern, num_envs, previous, start)
-    finally:
-        release(folder)
+    return _Plan(device, learner_device, pattern, num_envs, previous, start)
 
 
-def _train_in(
-    folder: Path,
-    task: Task,
-    options: RunOptions,
-    device: torch.device,
-    learner_device: torch.device,
-    pattern: PatternNetwork,
-    num_envs: int,
-    previous: dict[str, Any] | None,
-    start: dict[str, Any] | None,
-) -> Path:
-    """Train in a folder that is this run's own."""
+def _train_in(folder: Path, task: Task, options: RunOptions, plan: _Plan) -> Path:
+    """Train in a folder that is this run's own; the first process alone writes into it."""
+    previous, start, rank, processes = plan.previous, plan.start, distributed.rank(), distributed.size()
     done = 0 if previous is None else previous["iteration"]
     begun = {"seed": options.seed or 0} if previous is None else previous["run"]
     origin = begun.get("start_from")
     if start is not None and options.start_from is not None:
         origin = f"{places.portable(options.start_from)} ({start['samples']} samples)"
-    seed = begun["seed"] + done  # a resumed run does not draw the same numbers again
+    # A resumed run does not draw the same numbers again, and no process those of another.
+    seed = begun["seed"] + done + rank * _SEEDS_APART
     torch.manual_seed(seed)
     print("Building the simulation; the first time on a machine, compiling its kernels can take two minutes.")
-    engine = engine_for(task, options.engine, num_envs, device)
-    environment = Environment(task, engine, pattern, seed=seed)
-    print(f"Task {run_name(task)}: {num_envs} environments, engine {engine.name}, device {device}. Folder: {folder}")
+    engine = engine_for(task, options.engine, plan.num_envs, plan.device)
+    environment = Environment(task, engine, plan.pattern, seed=seed, rank=rank, processes=processes)
+    number = f"{plan.num_envs} environments" + (f" in each of {processes} processes" if processes > 1 else "")
+    print(f"Task {run_name(task)}: {number}, engine {engine.name}, device {plan.device}. Folder: {folder}")
     revision, reason = git_revision()
     if reason:
         print(f"The revision of the code is not known ({reason}); the run goes on without.")
     run = {
-        "num_envs": num_envs,
+        "num_envs": plan.num_envs,
+        "processes": processes,
         "engine": engine.name,
-        "device": _title(device),
-        "learner_device": _title(learner_device),
+        "device": _title(plan.device),
+        "learner_device": _title(plan.learner_device),
         "seed": begun["seed"],
         "max_iterations": options.max_iterations,
         "start_from": origin,
@@ -167,7 +181,7 @@ def _train_in(
         "versions": {name: metadata.version(name) for name in ("newton", "warp-lang", "mujoco", "torch", "rsl-rl-lib")},
     }
     seconds = math.inf if options.max_minutes is None else 60 * options.max_minutes
-    runner = Runner(environment, run, folder, seconds, learner_device)
+    runner = Runner(environment, run, folder if rank == 0 else None, seconds, plan.learner_device)
     if start is not None:
         runner.take_networks(start, "actor", "critic")
         runner.obey(task.learning, task_from_dict(start["task"], str(options.start_from)).learning)
@@ -176,20 +190,27 @@ def _train_in(
         runner.restore(previous)
         runner.obey(task.learning, task_from_dict(previous["task"], str(options.resume)).learning)
         print(f"Resumed {options.resume} after {done} iterations.")
-    name = CONFIG_NAME if not (folder / CONFIG_NAME).exists() else f"config_from_iteration_{done}.yaml"
-    _write_config(folder / name, task, run)
-    store_changes(folder)
+    if rank == 0:
+        _write_records(folder, task, run, done)
     resume = f"{places.command('train')} --resume {folder}"
     try:
-        with signals_that_interrupt():
+        with signals_that_interrupt(runner.stop_together if processes > 1 else None):
             runner.learn(options.max_iterations - done, init_at_random_ep_len=True)
     except TimeIsUp:
         print(f"The {options.max_minutes:g} minutes are over; continue with:  {resume}")
     except KeyboardInterrupt:
-        if runner.current_learning_iteration > done:
-            runner.save(str(folder / f"model_{runner.current_learning_iteration}.pt"))
-            print(f"\nStopped; continue with:  {resume}")
+        _keep(runner, folder, resume)
         raise
+    except RuntimeError as error:
+        if not distributed.is_loss(error):
+            raise
+        _keep(runner, folder, resume)
+        raise UserError(
+            "another process of this training has ended or does not answer any more; what it said stands above, and"
+            f" --resume {folder} goes on"
+        ) from error
+    if rank > 0:
+        return folder
     last = checkpoint.latest(folder)
     overflows = engine.overflows()
     if overflows:
@@ -198,6 +219,22 @@ def _train_in(
         f"Done: {last}\nSee it:  {places.command('play')} --checkpoint {last}\nCurves:  tensorboard --logdir {folder}"
     )
     return last
+
+
+def _write_records(folder: Path, task: Task, run: dict[str, Any], done: int) -> None:
+    """Settings and uncommitted code, of a new run or of the part of one that begins after so many iterations."""
+    name = CONFIG_NAME if not (folder / CONFIG_NAME).exists() else f"config_from_iteration_{done}.yaml"
+    _write_config(folder / name, task, run)
+    store_changes(folder)
+
+
+def _keep(runner: Runner, folder: Path, resume: str) -> None:
+    """Save the iterations of a run that ends early, and say what goes on with them."""
+    if distributed.rank() > 0 or not runner.has_learned:
+        return
+    with suppress(TimeIsUp):
+        runner.save(str(folder / f"model_{runner.current_learning_iteration}.pt"))
+    print(f"\nStopped; continue with:  {resume}")
 
 
 def with_networks_of(task: Task, start_from: Path) -> Task:
@@ -237,16 +274,23 @@ def _run_folder(task: Task, options: RunOptions) -> Path:
 
 
 @contextmanager
-def signals_that_interrupt() -> Iterator[None]:
-    """SIGTERM (a cluster's time is up) and SIGHUP (a terminal is closed) end a run as Ctrl-C does: it saves first."""
+def signals_that_interrupt(stop: Callable[[], None] | None = None) -> Iterator[None]:
+    """SIGTERM (a cluster's time is up) and SIGHUP (a terminal is closed) end a run as Ctrl-C does: it saves first.
+
+    Args:
+        stop: What these three call, where the run cannot just be left, as others wait for it; it may be called often.
+    """
 
     def interrupt(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
+        if stop is None:
+            raise KeyboardInterrupt
+        stop()
 
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread may ask for signals
         return
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    wanted = ("SIGTERM", "SIGHUP") if stop is None else ("SIGTERM", "SIGHUP", "SIGINT")
+    names = [name for name in wanted if hasattr(signal, name)]
     before = {name: signal.signal(getattr(signal, name), interrupt) for name in names}
     try:
         yield
