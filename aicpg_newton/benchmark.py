@@ -18,7 +18,7 @@ from typing import Annotated, Any, Generic, TypeVar
 import torch
 import tyro
 
-from aicpg_newton.device import finish, resolve_device, resolve_learner_device, torch_threads
+from aicpg_newton.device import finish, resolve_device, resolve_learner_device, torch_threads, waits_for_cores
 from aicpg_newton.engines import ENGINES, Engine, engine_name
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.methods import on_task
@@ -35,6 +35,8 @@ from aicpg_newton.viewing.output import writable_path
 _BURST = 20
 """Control steps timed in one go."""
 
+_DISTURBED = 0.1
+"""Share of the time without a core from which on a rate is doubted."""
 
 _Settings = TypeVar("_Settings", bound=Task)
 
@@ -84,6 +86,8 @@ class Rates:
     environment: float
     learning: float | None
     """Samples per second of whole learning iterations."""
+    waiting: float
+    """Share of the time in which a thread was ready to go on, but other work had the cores; rates are too low by it."""
     buffers: str
     """Fullest contact and constraint buffers."""
 
@@ -105,6 +109,8 @@ def measure(
     finish(device)
     build = time.perf_counter() - began
 
+    began, waited = time.perf_counter(), waits_for_cores()
+
     def restart() -> None:
         environment.restart(environment.commands.frequency)
 
@@ -119,7 +125,9 @@ def measure(
         bare = None if bare_loop is None else rate(bare_loop)
         restart()
     learning = _learning_rate(environment, options.iterations, learner_device)
-    return Rates(name, task.name, num_envs, build, bare, alone, around, learning, _buffers(engine))
+    longest = max((end - waited.get(thread, 0.0) for thread, end in waits_for_cores().items()), default=0.0)
+    waiting = longest / (time.perf_counter() - began)
+    return Rates(name, task.name, num_envs, build, bare, alone, around, learning, waiting, _buffers(engine))
 
 
 def _learning_rate(environment: Environment, iterations: int, device: torch.device) -> float | None:
@@ -178,14 +186,27 @@ def table(rows: list[Rates]) -> str:
         "environment",
         "outside",
         "learning",
+        "waiting",
     )
     cells = [(*head, "buffers"), ("---",) * (len(head) + 1)]
     for row in rows:
         bare = "-" if row.bare is None else f"{row.bare:,.0f} ({row.engine_alone / row.bare:.0%})"
         learning = "-" if row.learning is None else f"{row.learning:,.0f}"
         rates = (bare, f"{row.engine_alone:,.0f}", f"{row.environment:,.0f}", f"{row.outside_physics:.0%}", learning)
-        cells.append((row.engine, row.task, str(row.num_envs), f"{row.build:.1f}", *rates, row.buffers))
+        waiting = f"{row.waiting:.0%}"
+        cells.append((row.engine, row.task, str(row.num_envs), f"{row.build:.1f}", *rates, waiting, row.buffers))
     return "\n".join(f"| {' | '.join(line)} |" for line in cells)
+
+
+def doubts(rows: list[Rates]) -> str:
+    """What speaks against the rates, in a sentence; nothing where the cores were free."""
+    most = max((row.waiting for row in rows), default=0.0)
+    if most < _DISTURBED:
+        return ""
+    return (
+        f"Other work had the cores for up to {most:.0%} of the time (column waiting), so these rates are too low, and"
+        " not all by as much; measure again when the machine is free."
+    )
 
 
 def walking_table(results: list[walking.WalkingTime]) -> str:
@@ -223,6 +244,8 @@ def benchmark(options: BenchmarkOptions) -> list[Rates]:
     ]
     print(f"Control steps per second, {where}; in brackets: engine as a share of the bare loop.")
     print(table(rows))
+    if doubts(rows):
+        print(doubts(rows))
     _write(options.json, rows)
     return rows
 

@@ -82,7 +82,8 @@ class Training:
         if not (self.folder.is_dir() and any(self.folder.glob("model_*.pt"))):
             return 0
         content = checkpoint.read(self.folder)
-        if task_from_dict(content["task"], str(self.folder)) != self.task:
+        wanted = self.task.for_environments(content["run"]["num_envs"])
+        if task_from_dict(content["task"], str(self.folder)) != wanted:
             raise UserError(f"{self.folder} was trained with other settings; give --out another folder or move it away")
         return content["iteration"]
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import torch
 
@@ -83,6 +84,18 @@ def cpu_cores() -> int:
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
     return max(1, cores // launcher.place().local_size)
+
+
+def waits_for_cores() -> dict[str, float]:
+    """Time that each thread of this process has been ready to go on but had no core [s], by thread.
+
+    Only Linux tells; elsewhere it is empty.
+    """
+    waits = {}
+    for path in Path("/proc/self/task").glob("*/schedstat"):
+        with suppress(OSError, IndexError):  # a thread may end meanwhile
+            waits[path.parent.name] = int(path.read_text().split()[1]) / 1e9
+    return waits
 
 
 def reading_is_free(device: torch.device | str) -> bool:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 
 from aicpg_newton import launcher
+
 _PLACES = {
     errno.ENOSPC,
     errno.EDQUOT,

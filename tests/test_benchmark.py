@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from aicpg_newton import benchmark as module
-from aicpg_newton.benchmark import BenchmarkOptions, Rates, benchmark, table, time_to_walk, walking_table
+from aicpg_newton.benchmark import BenchmarkOptions, Rates, benchmark, doubts, table, time_to_walk, walking_table
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning.time_to_walk import WalkingTime
@@ -54,8 +54,17 @@ def test_newton_reports_its_buffers():
 
 def test_table_is_worked_out_from_the_rates():
     """Shares by hand: the engine is 75 % of the bare loop, and 40 % of the environment's time is outside it."""
-    row = Rates("newton", "flat", 256, 3.0, 2000.0, 1500.0, 900.0, None, "-")
-    assert table([row]).splitlines()[-1] == "| newton | flat | 256 | 3.0 | 2,000 (75%) | 1,500 | 900 | 40% | - | - |"
+    row = Rates("newton", "flat", 256, 3.0, 2000.0, 1500.0, 900.0, None, 0.02, "-")
+    assert (
+        table([row]).splitlines()[-1] == "| newton | flat | 256 | 3.0 | 2,000 (75%) | 1,500 | 900 | 40% | - | 2% | - |"
+    )
+
+
+def test_rates_beside_other_work_are_doubted():
+    """One disturbed row is enough; on a free machine nothing is said."""
+    free = Rates("newton", "flat", 256, 3.0, None, 1500.0, 900.0, 800.0, 0.02, "-")
+    assert not doubts([free])
+    assert "for up to 85% of the time" in doubts([free, replace(free, waiting=0.85)])
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -21,6 +22,7 @@ def test_auto_falls_back_to_the_cpu_and_says_so(monkeypatch: pytest.MonkeyPatch,
 def test_auto_takes_the_first_gpu(monkeypatch: pytest.MonkeyPatch):
     """With CUDA it is cuda:0."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     assert resolve_device("auto") == torch.device("cuda:0")
 
 
@@ -98,6 +100,21 @@ def test_waiting_threads_give_up_early(given: dict[str, str], wanted: str):
     command = [sys.executable, "-c", code]
     result = subprocess.run(command, env={**inherited, **given}, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == wanted
+
+
+def test_a_thread_that_is_kept_from_its_core_shows_it():
+    """Two busy processes on one core: each waits for half of the time. Only Linux tells."""
+    if not Path("/proc/self/schedstat").exists():
+        pytest.skip("the system does not tell how long threads wait")
+    code = (
+        "import os, time; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+        "from aicpg_newton.device import waits_for_cores\n"
+        "child = os.fork(); end = time.monotonic() + 1.0\n"
+        "while time.monotonic() < end: pass\n"
+        "if child: print(max(waits_for_cores().values()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert float(done.stdout) > 0.2
 
 
 def test_cores_are_found_where_the_system_does_not_say_which(monkeypatch: pytest.MonkeyPatch):

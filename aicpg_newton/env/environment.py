@@ -73,7 +73,7 @@ class Environment(VecEnv):
         processes: int = 1,
     ) -> None:
         task.validate()
-        self.task = task
+        self.task = task = task.for_environments(engine.num_envs)
         self.engine = engine
         self.num_envs = engine.num_envs
         self.num_actions = NUM_JOINTS

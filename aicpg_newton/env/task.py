@@ -5,6 +5,7 @@ Every field can be read in the run's ``config.yaml`` and changed on the command 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Annotated, Literal, Self
@@ -202,25 +203,27 @@ class Learning:
 class Imitation:
     """The discriminator of the AMP baseline (Peng et al. 2021).
 
-    Network, penalties and scale are those published for this humanoid in Isaac Gym; learning rate, batch, replay and
-    weight are for 256 environments, and say what was published.
+    Network, penalties and scale are those published for this humanoid in Isaac Gym, for 4096 environments. Learning
+    rate, batch and replay were tried with 256, and grow with the number of environments where they are not given: see
+    :meth:`for_environments`.
     """
 
     discriminator_hidden_sizes: Annotated[tuple[int, ...], LAYER] = (1024, 512)
     """Its hidden layers."""
-    discriminator_learning_rate: Annotated[float, POSITIVE] = 1e-5
-    """Its learning rate. Published: 5e-5, for eight times as many samples an iteration as 256 environments give."""
-    discriminator_batch: Annotated[int, AT_LEAST_ONE] = 256
+    discriminator_learning_rate: Annotated[float | None, POSITIVE] = None
+    """Its learning rate; 1e-5 with 256 environments up to 4e-5 with 4096 when not given. Published: 5e-5."""
+    discriminator_batch: Annotated[int | None, AT_LEAST_ONE] = None
     """Pairs of states drawn for each of its updates, as many as PPO's, from the reference, from this iteration and from
-    the replay buffer, each. Published: 4096."""
+    the replay buffer, each; as many as environments, from 256 to 4096, when not given. Published: 4096."""
     gradient_penalty: Annotated[float, NOT_NEGATIVE] = 5.0
     """Weight of the squared gradient at the reference."""
     logit_regularisation: Annotated[float, NOT_NEGATIVE] = 0.05
     """Weight of the sum of squares of its last layer's weights."""
     weight_decay: Annotated[float, NOT_NEGATIVE] = 1e-4
     """Weight of the sum of squares of all its weights."""
-    replay_size: Annotated[int, Range(1, 100_000_000)] = 10_000
-    """Pairs in the replay buffer, which is part of every checkpoint: 6.5 MB. Published: 1,000,000."""
+    replay_size: Annotated[int | None, Range(1, 100_000_000)] = None
+    """Pairs in the replay buffer, 0.65 kB each, which is part of every checkpoint; 10,000 with 256 environments up to
+    160,000 with 4096 when not given. Published: 1,000,000."""
     replay_keep: Annotated[float, SHARE] = 0.01
     """Share of an iteration's pairs that goes into a replay buffer that is full."""
     style_reward_scale: Annotated[float, NOT_NEGATIVE] = 2.0
@@ -229,6 +232,21 @@ class Imitation:
     """Weight of the style reward in the whole reward. Published: 1, with normalised values."""
     task_reward_weight: Annotated[float, NOT_NEGATIVE] = 0.0
     """Weight of the environment's own reward."""
+
+    def for_environments(self, number: int) -> Imitation:
+        """What is left open, for so many environments: the one place where the rule stands.
+
+        Batch and replay buffer are proportional to the number of environments, and the learning rate to its square
+        root, as the noise of a gradient falls with it. Below 256, what these numbers were tried with, and above 4096,
+        where the batch is the published one, nothing changes any more.
+        """
+        times = min(max(number / 256, 1.0), 16.0)
+        rule = {
+            "discriminator_learning_rate": 1e-5 * math.sqrt(times),
+            "discriminator_batch": round(256 * times),
+            "replay_size": round(10_000 * times),
+        }
+        return replace(self, **{name: value for name, value in rule.items() if getattr(self, name) is None})
 
 
 @dataclass(kw_only=True)
@@ -259,6 +277,10 @@ class Task:
         share = (torch.arange(num_envs, device=device) + 0.5) / num_envs
         span = self.frequencies.maximum - self.frequencies.minimum
         return Commands(frequency=self.frequencies.minimum + span * share, heading=torch.zeros(num_envs, device=device))
+
+    def for_environments(self, number: int) -> Self:
+        """The same task, with the settings that are left open chosen for so many environments."""
+        return self
 
     def undisturbed(self) -> Self:
         """The same task where nobody pushes and f stays as it is told: for tests and play."""
@@ -354,6 +376,10 @@ class ImitationTask(Task):
     reference: Literal["walk", "run"] = "walk"
     """Gait that is imitated."""
     imitation: Imitation = field(default_factory=Imitation)
+
+    def for_environments(self, number: int) -> Self:
+        """See :meth:`Task.for_environments` and :meth:`Imitation.for_environments`."""
+        return replace(self, imitation=self.imitation.for_environments(number))
 
     def idle(self) -> dict[str, str]:
         """See :meth:`Task.idle`: the reference sets frequency and speed, and by default all of the reward."""

@@ -191,7 +191,7 @@ def _train_in(folder: Path, task: Task, options: RunOptions, plan: _Plan) -> Pat
         runner.obey(task.learning, task_from_dict(previous["task"], str(options.resume)).learning)
         print(f"Resumed {options.resume} after {done} iterations.")
     if rank == 0:
-        _write_records(folder, task, run, done)
+        _write_records(folder, environment.task, run, done)
     resume = f"{places.command('train')} --resume {folder}"
     try:
         with signals_that_interrupt(runner.stop_together if processes > 1 else None):

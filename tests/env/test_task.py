@@ -7,6 +7,7 @@ import pytest
 
 from aicpg_newton.env.methods import METHODS
 from aicpg_newton.env.registry import TASKS, get_task
+from aicpg_newton.env.task import ImitationTask
 from aicpg_newton.errors import UserError
 from aicpg_newton.ranges import Range
 
@@ -185,3 +186,28 @@ def test_every_setting_has_a_help_text():
                 continue  # a group of settings: its class says what it is
             after = body.split(f"    {name}: ", 1)[1].split("\n", 2)[1]
             assert after.strip().startswith('"""'), name
+
+
+@pytest.mark.parametrize(
+    ("number", "expected"),
+    [
+        (64, (1e-5, 256, 10_000)),
+        (256, (1e-5, 256, 10_000)),
+        (1024, (2e-5, 1024, 40_000)),
+        (4096, (4e-5, 4096, 160_000)),
+        (32768, (4e-5, 4096, 160_000)),
+    ],
+)
+def test_the_discriminators_settings_follow_the_number_of_environments(number: int, expected: tuple):
+    """In proportion between what was tried and what was published; what is given is kept, the published 256 too."""
+    task = get_task("flat", "amp")
+    assert isinstance(task, ImitationTask)
+    task.validate()
+    names = ("discriminator_learning_rate", "discriminator_batch", "replay_size")
+    chosen = task.for_environments(number)
+    assert tuple(getattr(chosen.imitation, name) for name in names) == pytest.approx(expected)
+    task.imitation.discriminator_batch, task.imitation.replay_size = 256, 10_000
+    kept = task.for_environments(number).imitation
+    assert (kept.discriminator_batch, kept.replay_size) == (256, 10_000)
+    assert task.for_environments(number).for_environments(256) == task.for_environments(number)
+    assert get_task("flat").for_environments(number) == get_task("flat")

@@ -14,6 +14,7 @@ from rsl_rl.utils import resolve_class
 from tensordict import TensorDict
 
 from aicpg_newton import launcher
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import ImitationTask, Task
 from aicpg_newton.errors import run_command
 from aicpg_newton.gait.cpg import PatternNetwork
@@ -24,7 +25,6 @@ from aicpg_newton.learning.settings import runner_settings
 from aicpg_newton.learning.training import RunOptions, train
 from aicpg_newton.robot.humanoid import NUM_JOINTS
 from aicpg_newton.robot.mirror import Mirror
-from tasks import get_task
 
 STEPS, NUM_ENVS, SIZE, STYLE = 4, 8, 6, 81
 
@@ -68,7 +68,7 @@ def updated(method: str) -> dict[str, Any]:
     samples = TensorDict(observed, batch_size=[STEPS + 1, NUM_ENVS])[:, rank::size]
     actions, rewards = torch.randn(STEPS, NUM_ENVS, NUM_JOINTS), torch.randn(STEPS, NUM_ENVS)
     dones = torch.rand(STEPS, NUM_ENVS) < 0.1
-    task = small_task(method)
+    task = small_task(method).for_environments(NUM_ENVS)
     task.learning.learning_rate_schedule, task.learning.network, task.learning.symmetry = "fixed", "mlp", False
     task.learning.learning_rate = task.learning.maximum_learning_rate = 0.02
     settings = runner_settings(task, Mirror(tuple(range(SIZE)), (1.0,) * SIZE), 0)
