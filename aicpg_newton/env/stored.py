@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import types
 import typing
 from typing import Any, Literal, TypeVar
 
@@ -54,6 +55,11 @@ def updated(settings: _Settings, content: Any, source: str) -> _Settings:
     values = {}
     for name, value in content.items():
         own, hint = getattr(settings, name), hints[name]
+        if isinstance(hint, types.UnionType):  # a kind, or None
+            if value is None:
+                values[name] = None
+                continue
+            hint = typing.get_args(hint)[0]
         if dataclasses.is_dataclass(own):
             value = updated(own, value, source)
         elif isinstance(own, dict):
