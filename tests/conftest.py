@@ -24,6 +24,7 @@ class PuppetEngine:
         self.num_envs = num_envs
         self.terrain = terrain
         self.device = torch.device("cpu")
+        self.overflowed = torch.zeros(num_envs, dtype=torch.bool)
         self.overrides: dict[str, torch.Tensor] = {}
         self.calls: list[dict[str, torch.Tensor | None]] = []
         upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(num_envs, 1)
@@ -56,6 +57,14 @@ class PuppetEngine:
     def overflows(self) -> int:
         """Never."""
         return 0
+
+    def snapshot(self) -> dict[str, torch.Tensor]:
+        """What a state holds."""
+        return dict(vars(self.state))
+
+    def restore(self, snapshot: dict[str, torch.Tensor]) -> None:
+        """Take over such a snapshot."""
+        self.state = RobotState(**snapshot)
 
 
 @pytest.fixture

@@ -132,6 +132,39 @@ class Engine(Protocol):
         """
         ...
 
+    @property
+    def overflowed(self) -> torch.Tensor:
+        """Environments that ran out of contact or constraint buffers in the last step, bool, shape [num_envs]."""
+        ...
+
     def overflows(self) -> int:
         """Number of environments that ever ran out of contact or constraint buffers."""
         ...
+
+    def snapshot(self) -> dict[str, torch.Tensor]:
+        """Copies of all that coming steps depend on, the solver's own memory included; each of shape [num_envs, ...].
+
+        The rows of some environments are a snapshot of an engine that has only those.
+        """
+        ...
+
+    def restore(self, snapshot: dict[str, torch.Tensor]) -> None:
+        """Go on from a :meth:`snapshot` of an engine of the same kind and size: bit for bit, on a CPU.
+
+        Raises:
+            ValueError: It has other names or shapes.
+        """
+        ...
+
+
+def take_over(snapshot: dict[str, torch.Tensor], arrays: dict[str, torch.Tensor]) -> None:
+    """Copy a snapshot's values into an engine's arrays.
+
+    Raises:
+        ValueError: Names or shapes differ.
+    """
+    shapes, own = ({name: each.shape for name, each in group.items()} for group in (snapshot, arrays))
+    if shapes != own:
+        raise ValueError(f"the snapshot holds {shapes}, the engine {own}")
+    for name, array in arrays.items():
+        array.copy_(snapshot[name])

@@ -16,7 +16,7 @@ import torch
 from mujoco.rollout import Rollout
 
 from aicpg_newton.device import cpu_cores
-from aicpg_newton.engines.interface import BodyState, Physics, RobotState
+from aicpg_newton.engines.interface import BodyState, Physics, RobotState, take_over
 from aicpg_newton.engines.model import ROOT_DOFS, build, make_solver
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
@@ -95,6 +95,9 @@ class MujocoEngine:
         self.device = torch.device(device)
         if self.device.type != "cpu":
             raise UserError(f"engine 'mujoco' cannot run on device {str(self.device)!r}; use cpu or engine 'newton'")
+        # On its own MuJoCo prints a line for every robot that diverges, and another into a file where it runs; such
+        # robots show up as not finite, and whoever steps them counts them.
+        mujoco.set_mju_user_warning(lambda text: None)
         self.physics = physics
         self.terrain = None if terrain is None else terrain.to(self.device)
         self._load(motors, mjcf)
@@ -113,6 +116,8 @@ class MujocoEngine:
         self._readings: _Array = np.zeros((num_envs, physics.substeps, self.model.nsensordata))
         self._torque = torch.zeros(num_envs, NUM_JOINTS)
         self._foot_wrench = torch.zeros(num_envs, 2, 6)
+        self.overflowed = torch.zeros(num_envs, dtype=torch.bool)
+        """See :attr:`Engine.overflowed`: never, see :meth:`overflows`."""
         self.state = self._read()
 
     def _load(self, motors: Motors, mjcf: Path) -> None:
@@ -294,6 +299,19 @@ class MujocoEngine:
         It takes them from one large arena; should that run out, the environment stops and shows up as not finite.
         """
         return 0
+
+    def _memory(self) -> dict[str, torch.Tensor]:
+        """All that is kept from step to step: a rollout begins without a warm start."""
+        return {"rows": torch.from_numpy(self._rows), "motor_torque": self._torque, "foot_wrench": self._foot_wrench}
+
+    def snapshot(self) -> dict[str, torch.Tensor]:
+        """See :meth:`Engine.snapshot`."""
+        return {name: each.clone() for name, each in self._memory().items()}
+
+    def restore(self, snapshot: dict[str, torch.Tensor]) -> None:
+        """See :meth:`Engine.restore`."""
+        take_over(snapshot, self._memory())
+        self.state = self._read()
 
 
 def _replace_plane(spec: mujoco.MjSpec, terrain: Terrain) -> None:

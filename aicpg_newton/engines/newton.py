@@ -12,7 +12,7 @@ import warp as wp
 from mujoco_warp import OverflowType
 
 from aicpg_newton.engines import kernels
-from aicpg_newton.engines.interface import BodyState, Physics, RobotState
+from aicpg_newton.engines.interface import BodyState, Physics, RobotState, take_over
 from aicpg_newton.engines.model import ROOT_COORDINATES, ROOT_DOFS, build, make_solver
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.robot import rotations
@@ -132,8 +132,10 @@ class NewtonEngine:
         self._target_q = wp.to_torch(self._control.joint_target_q).view(n, -1)
         self._target_qd = wp.to_torch(self._control.joint_target_qd).view(n, -1)
         self._torque = wp.to_torch(self._observables.qfrc_actuator).view(n, -1)
+        self._warm_start = wp.to_torch(self.solver.mjw_data.qacc_warmstart)
         self._foot_wrench = wp.to_torch(self._foot_wrench_array).view(n, 2, 6)
         self._overflow = wp.to_torch(self._overflow_array)
+        self._ever_overflowed = torch.zeros(n, dtype=torch.bool, device=self.device)
         self._world_mask = wp.to_torch(self._reset_worlds)
         self._robot_mask = wp.to_torch(self._reset_robots)
         com = wp.to_torch(self.model.body_com).view(n, -1, 3)
@@ -144,6 +146,7 @@ class NewtonEngine:
     def _substeps(self) -> None:
         """All physics steps of a control step, in Warp only, so that a graph can hold them, on a GPU and on a CPU."""
         self._foot_wrench_array.zero_()
+        self._overflow_array.zero_()
         state_in, state_out = self._states
         for _ in range(self.physics.substeps):
             if self._collisions is not None:
@@ -224,6 +227,7 @@ class NewtonEngine:
             wp.capture_launch(self._graph)
         else:
             self._substeps()
+        self._ever_overflowed |= self.overflowed
         self.state = self._read()
 
     def reset(self, mask: torch.Tensor, start: BodyState) -> None:
@@ -270,6 +274,31 @@ class NewtonEngine:
         constraints, contacts = self._most.numpy().tolist()
         return {"constraints": constraints, "contacts": contacts / self.num_envs}
 
+    @property
+    def overflowed(self) -> torch.Tensor:
+        """See :attr:`Engine.overflowed`; all of them where a buffer that they share is full."""
+        return self._overflow != 0
+
     def overflows(self) -> int:
         """See :meth:`Engine.overflows`."""
-        return int((self._overflow != 0).sum())
+        return int(self._ever_overflowed.sum())
+
+    def _memory(self) -> dict[str, torch.Tensor]:
+        """All that is kept from step to step: motion, what the solver warm-starts from, and what was measured."""
+        return {
+            "joint_q": self._joint_q,
+            "joint_qd": self._joint_qd,
+            "body_q": self._body_q,
+            "warm_start": self._warm_start,
+            "motor_torque": self._torque,
+            "foot_wrench": self._foot_wrench,
+        }
+
+    def snapshot(self) -> dict[str, torch.Tensor]:
+        """See :meth:`Engine.snapshot`."""
+        return {name: each.clone() for name, each in self._memory().items()}
+
+    def restore(self, snapshot: dict[str, torch.Tensor]) -> None:
+        """See :meth:`Engine.restore`."""
+        take_over(snapshot, self._memory())
+        self.state = self._read()

@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from aicpg_newton.device import reading_is_free
 from aicpg_newton.engines import Engine, RobotState, make_engine
 from aicpg_newton.env.commands import Commands, FrequencyChanges
+from aicpg_newton.env.faults import BadStates, FaultCount, cause_of
 from aicpg_newton.env.methods import get_method
 from aicpg_newton.env.observations import observe
 from aicpg_newton.env.starts import Starts
@@ -42,12 +43,17 @@ class StepOutcome:
     """Weighted and scaled reward terms; zero where the robot fell."""
     fallen: torch.Tensor
     """Fell, or diverged."""
-    diverged: torch.Tensor
-    """The simulation of this robot has gone wrong: numbers that are not finite, or speeds that no body reaches."""
+    fault: torch.Tensor
+    """What is wrong with the simulation of this robot, from :func:`aicpg_newton.env.faults.cause_of`; 0 for nothing."""
     off_course: torch.Tensor
     """Turned too far from the target without falling."""
     timed_out: torch.Tensor
     """Reached the end of the episode or the edge of the terrain, without failing."""
+
+    @property
+    def diverged(self) -> torch.Tensor:
+        """Whether the simulation of a robot has gone wrong, bool, shape [num_envs]."""
+        return self.fault > 0
 
 
 class Environment(VecEnv):
@@ -117,6 +123,10 @@ class Environment(VecEnv):
         self._asked_pushes: list[torch.Tensor] = []
         self._starts = Starts(task.resets, self.actuation, engine.terrain, self._generator)
         self._sound = torch.ones((), dtype=torch.bool, device=self.device)
+        self.faults = FaultCount(self.device)
+        """Simulations that went wrong."""
+        self.bad_states: BadStates | None = None
+        """Keeps what they began from, where one is put here; every step is then copied before it is taken."""
         self._episode_means: dict[str, torch.Tensor] = {}
         # Not episode_length_buf: the runner starts that at random numbers to spread the first time-outs.
         self._episode_steps = zeros.clone()
@@ -140,12 +150,18 @@ class Environment(VecEnv):
         self._sound = self._sound & torch.isfinite(actions).all()
         if reading_is_free(self.device):
             self.check()
-        self.engine.step(*self.actuation.command(actions, self.engine.state), push=self._pushes())
+        command, push = self.actuation.command(actions, self.engine.state), self._pushes()
+        before = None if self.bad_states is None else self.engine.snapshot()
+        self.engine.step(*command, push=push)
         self.phase = advance_phase(self.phase, self.commands.frequency)
         self.actuation.follow(self.phase, self.commands)
         self.episode_length_buf += 1
         self._seen = None
         self.outcome = self._judge()
+        self.faults.note(self.outcome.fault)
+        if self.bad_states is not None and before is not None:
+            given = {"action": actions, **command._asdict(), **({} if push is None else {"push": push})}
+            self.bad_states.note(self.outcome.fault, {**before, **given})
         reward = torch.stack(list(self.outcome.reward_terms.values())).sum(dim=0)
         failed = self.outcome.fallen | self.outcome.off_course
         dones = failed | self.outcome.timed_out
@@ -219,8 +235,8 @@ class Environment(VecEnv):
         """Falls and reward terms of the robots as they are now."""
         limits, view = self.task.termination, self._view()
         state = view.state
-        diverged = _diverged(state)
-        fallen = diverged | (view.height < limits.minimum_height)
+        fault = cause_of(state, view.height, self.engine.overflowed)
+        fallen = (fault > 0) | (view.height < limits.minimum_height)
         fallen |= view.up < math.cos(math.radians(limits.maximum_tilt))
         heading_cosine = torch.cos(view.roll_pitch_yaw[2] - self.commands.heading)
         off_course = ~fallen & (heading_cosine < math.cos(math.radians(limits.maximum_heading)))
@@ -239,7 +255,7 @@ class Environment(VecEnv):
                 name: (weight * term(view)).masked_fill(failed, 0.0) for name, (weight, term) in self._terms.items()
             },
             fallen=fallen,
-            diverged=diverged,
+            fault=fault,
             off_course=off_course,
             timed_out=timed_out & ~failed,
         )
@@ -352,20 +368,6 @@ class Environment(VecEnv):
     def _uniform(self, low: float, high: float) -> torch.Tensor:
         """Random numbers in [low, high), shape [num_envs]."""
         return low + (high - low) * torch.rand(self.num_envs, generator=self._generator, device=self.device)
-
-
-_FASTEST, _FASTEST_TURN, _FASTEST_JOINT = 50.0, 100.0, 500.0
-"""Speeds of the pelvis [m/s], [rad/s] and of a joint [rad/s] that no body reaches, falling and stumbling included."""
-
-
-def _diverged(state: RobotState) -> torch.Tensor:
-    """Robots whose simulation has gone wrong, bool, shape [num_envs]; it may go wrong without leaving the numbers."""
-    return (
-        ~state.finite()
-        | (state.root_linear_velocity.norm(dim=1) > _FASTEST)
-        | (state.root_angular_velocity.norm(dim=1) > _FASTEST_TURN)
-        | (state.joint_velocity.abs().amax(dim=1) > _FASTEST_JOINT)
-    )
 
 
 def engine_for(task: Task, name: str, num_envs: int, device: torch.device | str) -> Engine:

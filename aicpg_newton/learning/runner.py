@@ -13,12 +13,13 @@ from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
 from aicpg_newton.device import torch_threads
+from aicpg_newton.env import faults
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.observations import differences, layout, mirror_of
 from aicpg_newton.env.stored import to_dict
 from aicpg_newton.env.task import Learning
 from aicpg_newton.errors import UserError
-from aicpg_newton.learning import checkpoint, distributed
+from aicpg_newton.learning import bad_states, checkpoint, distributed
 from aicpg_newton.learning.settings import runner_settings
 
 
@@ -60,6 +61,8 @@ class Runner(OnPolicyRunner):
         log_dir = None if folder is None else str(folder)
         super().__init__(environment, settings, log_dir=log_dir, device=str(device or environment.device))
         self.logger.git_status_repos = []  # the run keeps what is to be kept of its code
+        self.logger.log = self._and_then(self.logger.log)
+        self._dumped = 0
         self.alg.update = torch_threads(torch.get_num_threads())(self._checked(self.alg.update))
 
     def _configure_multi_gpu(self) -> None:
@@ -105,6 +108,37 @@ class Runner(OnPolicyRunner):
             return losses
 
         return checked
+
+    def _and_then(self, log: Callable[..., None]) -> Callable[..., None]:
+        """The log of an iteration, and then what else is due at its end."""
+
+        def logged(*, it: int, **facts: Any) -> None:
+            log(it=it, **facts)
+            self._tell_of_faults(it)
+
+        return logged
+
+    def _tell_of_faults(self, iteration: int) -> None:
+        """Log, say and, where that is asked for, write down whose simulation went wrong in an iteration."""
+        counts = self.env.faults.take()
+        for cause, number in counts.items():
+            if self.logger.writer is not None:
+                self.logger.writer.add_scalar(f"Faults/{cause}", number, iteration)
+        said = faults.sentence(counts)
+        if not said:
+            return
+        print(said)
+        if self.env.bad_states is None or self.logger.log_dir is None:
+            return
+        robots = {name: rows[: bad_states.MOST - self._dumped] for name, rows in self.env.bad_states.take().items()}
+        self._dumped += len(robots["cause"])
+        path = Path(self.logger.log_dir) / f"bad_states_{iteration}.pt"
+        task, engine = to_dict(self.env.task), self.env.engine.name
+        bad_states.write(path, robots, task=task, engine=engine, iteration=iteration)
+        print(f"Step them again:  python -m aicpg_newton.bad_states --file {path}")
+        if self._dumped >= bad_states.MOST:
+            self.env.bad_states = None
+            print(f"That makes {bad_states.MOST}; no more are written down.")
 
     @torch_threads(1)
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:

@@ -20,6 +20,7 @@ from aicpg_newton import places
 from aicpg_newton.device import resolve_device, resolve_learner_device
 from aicpg_newton.engines import engine_name
 from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.faults import BadStates
 from aicpg_newton.env.methods import run_name
 from aicpg_newton.env.registry import task_from_dict
 from aicpg_newton.env.stored import plain, to_dict
@@ -65,6 +66,9 @@ class RunOptions:
     """Checkpoint or run folder to continue, in the same folder unless --run-dir is given."""
     start_from: Path | None = None
     """Checkpoint or run folder whose networks and pattern a new run begins with, as assets/policies/flat.pt."""
+    dump_bad_states: bool = False
+    """Write what a simulation that goes wrong began from into the run folder: bad_states_<iteration>.pt, at most 256
+    robots. Every step is copied for that."""
 
 
 @dataclass
@@ -163,6 +167,8 @@ def _train_in(folder: Path, task: Task, options: RunOptions, plan: _Plan) -> Pat
     print("Building the simulation; the first time on a machine, compiling its kernels can take two minutes.")
     engine = engine_for(task, options.engine, plan.num_envs, plan.device)
     environment = Environment(task, engine, plan.pattern, seed=seed, rank=rank, processes=processes)
+    if options.dump_bad_states and rank == 0:
+        environment.bad_states = BadStates(plan.num_envs, environment.device)
     number = f"{plan.num_envs} environments" + (f" in each of {processes} processes" if processes > 1 else "")
     print(f"Task {run_name(task)}: {number}, engine {engine.name}, device {plan.device}. Folder: {folder}")
     revision, reason = git_revision()

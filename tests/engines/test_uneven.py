@@ -181,6 +181,25 @@ def test_contacts_beyond_the_buffer_are_counted() -> None:
     drive(engine, 1)
     assert engine.overflows() == 2
     assert engine.high_water()["contacts"] >= 4 * len(FOOT_NAMES)  # type: ignore[attr-defined]
+    assert engine.overflowed.all()  # they share the buffer
+    put(engine, position + torch.tensor([0.0, 0.0, 5.0]), torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(2, 1))
+    drive(engine, 1)
+    assert not engine.overflowed.any() and engine.overflows() == 2
+
+
+def test_constraints_beyond_the_buffer_are_each_worlds_own() -> None:
+    """Bits of buffers are kept over the physics steps of a control step, those of iterations are not."""
+    overflow, most = (wp.zeros(number, dtype=wp.int32, device="cpu") for number in (3, 2))
+    for bits in ([0, 1, 8], [0, 0, 8]):
+        given = wp.array(bits, dtype=wp.int32, device="cpu")
+        inputs = [
+            given,
+            7,
+            wp.array([4, 5, 6], dtype=wp.int32, device="cpu"),
+            wp.array([9], dtype=wp.int32, device="cpu"),
+        ]
+        wp.launch(kernels.note_buffers, dim=3, inputs=inputs, outputs=[overflow, most], device="cpu")
+    assert overflow.numpy().tolist() == [0, 1, 0] and most.numpy().tolist() == [6, 9]
 
 
 @pytest.mark.parametrize(("triangles", "unbuffered", "unreduced"), [(5, 0, 0), (4, 1, 0), (4, 0, 1), (4, 0, 0)])
