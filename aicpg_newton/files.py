@@ -67,23 +67,32 @@ def only_one(path: Path) -> Iterator[bool]:
     """Whether this process alone does what a file stands for, for as long as it lasts; the others are told False.
 
     The system takes the lock back when a process ends, however it ends. Where it has no such locks (Windows), everyone
-    is told True.
+    is told True, and so they are on a disk that has none.
 
     Args:
         path: File that is locked; it is made, and stays behind empty.
+
+    Raises:
+        UserError: The file cannot be made.
     """
     try:
         import fcntl
     except ImportError:
         yield True
         return
-    with path.open("w", encoding="utf-8") as file:
+    try:
+        file = path.open("w", encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write into {path.parent} ({error.strerror}); choose another folder") from error
+    with file:
+        alone = True
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            yield False
-            return
-        yield True
+            alone = False
+        except OSError:
+            pass
+        yield alone
 
 
 def write_text(path: Path, text: str) -> None:

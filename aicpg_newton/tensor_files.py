@@ -10,6 +10,11 @@ import torch
 
 from aicpg_newton.errors import UserError
 
+
+class Unreadable(UserError):
+    """A file that is torn or something else."""
+
+
 MOST_BYTES = 4_000_000_000
 """No checkpoint of this package comes near it; an AMP replay buffer of a million pairs has 0.7 GB."""
 
@@ -41,7 +46,8 @@ def read_tensors(path: Path, what: str, advice: str) -> Any:
         advice: What to do if it is not.
 
     Raises:
-        UserError: The file cannot be read, holds anything else, or claims to hold more than is in it.
+        UserError: The file cannot be read, holds anything else, or claims to hold more than is in it:
+            :class:`Unreadable` where it may be cut short.
     """
     try:
         _check_archive(path)
@@ -53,7 +59,7 @@ def read_tensors(path: Path, what: str, advice: str) -> Any:
     except MemoryError as error:
         raise UserError(f"{path} does not fit into memory; it is not {what} of this package") from error
     except Exception as error:  # torch raises many types on torn files
-        raise UserError(f"{path} cannot be read as {what} and may be cut short; {advice}") from error
+        raise Unreadable(f"{path} cannot be read as {what} and may be cut short; {advice}") from error
 
 
 def _check_archive(path: Path) -> None:

@@ -52,6 +52,14 @@ class FrequencyChanges:
         """All robots keep these stride frequencies [Hz], shape [num_envs], until their first change."""
         self._target, self._step = frequency, torch.zeros_like(frequency)
 
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Where the frequencies are going [Hz], and how fast [Hz a step]."""
+        return {"target": self._target, "step": self._step}
+
+    def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
+        """Go on from :meth:`state_dict`."""
+        self._target, self._step = state["target"], state["step"]
+
     def next(self, frequency: torch.Tensor, begun: torch.Tensor) -> torch.Tensor:
         """Stride frequencies of the next step [Hz]; :meth:`begin` comes first.
 

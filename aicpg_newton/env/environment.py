@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
+from torch.utils._pytree import tree_map
 
 from aicpg_newton.device import reading_is_free
 from aicpg_newton.engines import Engine, RobotState, make_engine
@@ -343,6 +345,35 @@ class Environment(VecEnv):
         self._seen = None
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
 
+    def state_dict(self) -> dict[str, Any]:
+        """Copies of all that coming steps depend on, between two steps: robots, commands, random numbers, means."""
+        own = {name: getattr(self, name) for name in _STATE}
+        state = {
+            **own,
+            "engine": self.engine.snapshot(),
+            "commands": vars(self.commands),
+            "torque": self.actuation.torque,
+            "starts": self._starts.state_dict(),
+            "changes": None if self._changes is None else self._changes.state_dict(),
+            "generator": self._generator.get_state(),
+        }
+        return tree_map(lambda each: each.clone() if isinstance(each, torch.Tensor) else each, state)
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a :meth:`state_dict` of an environment with the same task, engine and number of robots."""
+        self._generator.set_state(state["generator"].cpu())
+        state = tree_map(lambda each: each.to(self.device) if isinstance(each, torch.Tensor) else each, state)
+        self.engine.restore(state["engine"])
+        for name in _STATE:
+            setattr(self, name, state[name])
+        self.commands, self._commands_to_come = Commands(**state["commands"]), None
+        self._starts.load_state_dict(state["starts"])
+        if self._changes is not None:
+            self._changes.load_state_dict(state["changes"])
+        self.actuation.torque = state["torque"]
+        self.actuation.follow(self.phase, self.commands)
+        self._seen = None
+
     def _pushes(self) -> torch.Tensor | None:
         """Force on the torso for this step [N], shape [num_envs, 3]; None where nobody pushes."""
         own = self._random_pushes()
@@ -368,6 +399,21 @@ class Environment(VecEnv):
     def _uniform(self, low: float, high: float) -> torch.Tensor:
         """Random numbers in [low, high), shape [num_envs]."""
         return low + (high - low) * torch.rand(self.num_envs, generator=self._generator, device=self.device)
+
+
+_STATE = (
+    "phase",
+    "level",
+    "episode_length_buf",
+    "_own_frequency",
+    "_push",
+    "_push_clock",
+    "_sound",
+    "_episode_means",
+    "_episode_steps",
+    "_episode_rewards",
+)
+"""What an environment itself keeps from step to step."""
 
 
 def engine_for(task: Task, name: str, num_envs: int, device: torch.device | str) -> Engine:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 
@@ -47,10 +48,25 @@ class Starts:
         self._start = self._actuation.start(self.phase, frequency, speed_share)
         if self._terrain is not None:
             self._place = torch.stack([self._uniform(frequency, 0.0, 1.0) for _ in range(2)], dim=1)
-            start = self._start
-            soles = sole_corners(start.root_position, start.root_rotation, start.joint_position)
-            self._soles = soles.flatten(1, 2)
+            self._find_soles()
         self._age = 0
+
+    def _find_soles(self) -> None:
+        """Where the soles' corners are on flat ground."""
+        start = self._start
+        self._soles = sole_corners(start.root_position, start.root_rotation, start.joint_position).flatten(1, 2)
+
+    def state_dict(self) -> dict[str, Any]:
+        """What is ready, and for how long."""
+        place = None if self._terrain is None else self._place
+        return {"phase": self.phase, "start": vars(self._start), "place": place, "age": self._age}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from :meth:`state_dict`."""
+        self.phase, self._start, self._age = state["phase"], BodyState(**state["start"]), state["age"]
+        if self._terrain is not None:
+            self._place = state["place"]
+            self._find_soles()
 
     def grow_old(self, frequency: torch.Tensor) -> None:
         """A step has passed; arguments as for :meth:`draw`."""

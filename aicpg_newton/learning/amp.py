@@ -207,6 +207,15 @@ class AdversarialMotionPriors(BoundedPPO):
         }
         return {**super().save(), _SAVED: prior}
 
+    def state_beside_networks(self) -> dict[str, Any]:
+        """See :meth:`BoundedPPO.state_beside_networks`."""
+        return {**super().state_beside_networks(), "last_reward": self._last_reward}
+
+    def load_state_beside_networks(self, state: dict[str, Any]) -> None:
+        """See :meth:`BoundedPPO.load_state_beside_networks`."""
+        super().load_state_beside_networks(state)
+        self._last_reward.copy_(state["last_reward"])
+
     def load(self, loaded_dict: dict, load_cfg: dict | None, strict: bool) -> bool:
         """Restore from :meth:`save`.
 

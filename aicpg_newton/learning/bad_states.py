@@ -10,9 +10,10 @@ import torch
 from aicpg_newton.engines import Engine
 from aicpg_newton.env.environment import engine_for
 from aicpg_newton.env.faults import CAUSES, cause_of
+from aicpg_newton.env.registry import task_from_dict
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
-from tasks import task_from_dict
+from aicpg_newton.tensor_files import read_tensors
 
 MOST = 256
 """Robots that a run writes down at most, about 1 kB each."""
@@ -47,10 +48,7 @@ def read(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise UserError(f"no file at {path}; give a bad_states_*.pt of a run with --dump-bad-states")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many types on torn files
-        raise UserError(f"{path} cannot be read and may be cut short; give another bad_states_*.pt") from error
+    content = read_tensors(path, "bad states", "give another bad_states_*.pt")
     if not isinstance(content, dict) or set(content) != _KEYS:
         raise UserError(f"{path} holds no bad states; give a bad_states_*.pt of a run with --dump-bad-states")
     return content

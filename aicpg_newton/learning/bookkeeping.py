@@ -12,6 +12,9 @@ from aicpg_newton.errors import UserError
 _HERE = Path(__file__).resolve().parent
 _CLAIM = ".claimed"
 
+RUNNING = ".running"
+"""File in a run folder that the process that trains there has locked, from its beginning to its end."""
+
 
 def claim(folder: Path) -> None:
     """Take a folder for one run, before anything slow: of two that want it at once, one gets it.
@@ -38,7 +41,8 @@ def claim(folder: Path) -> None:
 def release(folder: Path) -> None:
     """The claim has done its work: the folder holds a run, or is removed if nothing came of it."""
     (folder / _CLAIM).unlink(missing_ok=True)
-    if folder.is_dir() and not any(folder.iterdir()):
+    if folder.is_dir() and all(path.name == RUNNING for path in folder.iterdir()):
+        (folder / RUNNING).unlink(missing_ok=True)
         folder.rmdir()
 
 

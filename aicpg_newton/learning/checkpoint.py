@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from aicpg_newton import places
 from aicpg_newton.env.stored import same_humanoid
 from aicpg_newton.errors import UserError
 from aicpg_newton.files import WholeFile
 from aicpg_newton.robot.fingerprint import fingerprint
-from aicpg_newton.tensor_files import read_tensors, write_tensors
+from aicpg_newton.tensor_files import Unreadable, read_tensors, write_tensors
 
 FORMAT = 1
 """Raised when the content changes its meaning."""
@@ -69,16 +69,49 @@ def write(
     save(content, path)
 
 
+class Found(NamedTuple):
+    """A checkpoint that was looked for."""
+
+    path: Path
+    content: dict[str, Any]
+    """As :func:`write` was given it."""
+    skipped: list[str]
+    """Sentences about newer checkpoints of the folder that cannot be read."""
+
+
 def read(path: Path) -> dict[str, Any]:
-    """Read a checkpoint written by :func:`write`.
+    """Read a checkpoint written by :func:`write`, and say which newer ones were skipped; as :func:`find`."""
+    found = find(path)
+    for sentence in found.skipped:
+        print(sentence)
+    return found.content
+
+
+def find(path: Path) -> Found:
+    """Read a checkpoint, or of a run folder the newest that can be read.
 
     Args:
-        path: Checkpoint, or a run folder: then its latest checkpoint.
+        path: Checkpoint or run folder.
 
     Raises:
-        UserError: The file is missing, torn, of another format or trained on another humanoid.
+        UserError: The file is missing, torn, of another format or trained on another humanoid; none in a folder is
+            whole.
     """
-    path = latest(path) if path.is_dir() else path
+    if not path.is_dir():
+        return Found(path, _read(path), [])
+    files = all_of(path)[::-1]
+    skipped = []
+    for each in files:
+        try:
+            return Found(each, _read(each), skipped)
+        except Unreadable:
+            reason = "is empty" if each.stat().st_size == 0 else "cannot be read and may be cut short"
+            skipped.append(f"Skipped {each}: it {reason}.")
+    raise Unreadable(f"none of the {len(files)} checkpoints in {path} can be read; begin a new run")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Read one file."""
     if not path.is_file():
         raise UserError(f"no checkpoint at {path}; give a model_*.pt file or a run folder that holds one")
     content = read_tensors(path, "a checkpoint", "delete it to go on from the one before")

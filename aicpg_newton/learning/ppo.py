@@ -79,6 +79,14 @@ class Runaway:
                 )
         return said
 
+    def state_dict(self) -> dict[str, Any]:
+        """What it has seen."""
+        return {"usual_loss": self._usual_loss, "rows": dict(self._rows)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from :meth:`state_dict`."""
+        self._usual_loss, self._rows = state["usual_loss"], dict(state["rows"])
+
 
 class BoundedPPO(PPO):
     """PPO whose learning rate cannot kill a training.
@@ -165,6 +173,14 @@ class BoundedPPO(PPO):
             elif kl < 0.5 * self.desired_kl:
                 self.learning_rate *= _STEP
         return losses
+
+    def state_beside_networks(self) -> dict[str, Any]:
+        """What goes on from iteration to iteration and is not in :meth:`save`, as it goes with the robots' state."""
+        return {"runaway": self._runaway.state_dict()}
+
+    def load_state_beside_networks(self, state: dict[str, Any]) -> None:
+        """Go on from :meth:`state_beside_networks`."""
+        self._runaway.load_state_dict(state["runaway"])
 
     def _sound(self) -> bool:
         """Whether all parameters are finite."""

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +22,8 @@ from aicpg_newton.env.observations import differences, layout, mirror_of
 from aicpg_newton.env.stored import to_dict
 from aicpg_newton.env.task import Learning
 from aicpg_newton.errors import UserError
-from aicpg_newton.learning import bad_states, checkpoint, distributed
+from aicpg_newton.learning import bad_states, checkpoint, distributed, resuming
+from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.settings import runner_settings
 
 
@@ -29,6 +33,17 @@ class TimeIsUp(Exception):
 
 _REASONS: dict[int, type[BaseException]] = {1: TimeIsUp, 2: KeyboardInterrupt}
 """Why several processes stop together; the greatest number counts."""
+
+
+@contextmanager
+def _threads_that_fail_quietly() -> Iterator[None]:
+    """TensorBoard writes in a thread, whose failure the next value to be logged raises: once is enough."""
+    before = threading.excepthook
+    threading.excepthook = lambda failure: None if isinstance(failure.exc_value, OSError) else before(failure)
+    try:
+        yield
+    finally:
+        threading.excepthook = before
 
 
 class Runner(OnPolicyRunner):
@@ -43,6 +58,7 @@ class Runner(OnPolicyRunner):
     """
 
     env: Environment
+    alg: BoundedPPO
 
     def __init__(
         self,
@@ -63,6 +79,7 @@ class Runner(OnPolicyRunner):
         self.logger.git_status_repos = []  # the run keeps what is to be kept of its code
         self.logger.log = self._and_then(self.logger.log)
         self._dumped = 0
+        self._stops = False
         self.alg.update = torch_threads(torch.get_num_threads())(self._checked(self.alg.update))
 
     def _configure_multi_gpu(self) -> None:
@@ -75,6 +92,14 @@ class Runner(OnPolicyRunner):
     def stop_together(self) -> None:
         """Stop before the next update, in all processes that train together; they agree on it then."""
         self._reason_to_stop = 2
+
+    def stop_soon(self) -> None:
+        """End with a checkpoint when the iteration is over; asked once more, at once."""
+        if self._stops:
+            raise KeyboardInterrupt
+        self._stops = True
+        with suppress(OSError):  # print cannot be called again while it prints
+            os.write(2, b"\nStops when the iteration is over; once more stops at once.\n")
 
     def obey(self, wanted: Learning, before: Learning) -> None:
         """Take settings that a checkpoint's own state would overrule: the learning rate and the exploration.
@@ -113,8 +138,13 @@ class Runner(OnPolicyRunner):
         """The log of an iteration, and then what else is due at its end."""
 
         def logged(*, it: int, **facts: Any) -> None:
-            log(it=it, **facts)
-            self._tell_of_faults(it)
+            with suppress(OSError) if self._stops else nullcontext():  # the terminal may be gone
+                log(it=it, **facts)
+                self._tell_of_faults(it)
+            if self._stops:
+                self.current_learning_iteration = it
+                self.save(str(Path(self.logger.log_dir or "") / f"model_{it}.pt"))
+                raise KeyboardInterrupt
 
         return logged
 
@@ -150,16 +180,43 @@ class Runner(OnPolicyRunner):
 
         Raises:
             TimeIsUp: The time given to this run is over.
-            KeyboardInterrupt: See :meth:`stop_together`.
+            KeyboardInterrupt: See :meth:`stop_together` and :meth:`stop_soon`.
+            UserError: The disk takes no log or no checkpoint.
         """
-        super().learn(num_learning_iterations, init_at_random_ep_len)
+        try:
+            with _threads_that_fail_quietly():
+                super().learn(num_learning_iterations, init_at_random_ep_len)
+        except BrokenPipeError:
+            raise  # nobody reads the console any more
+        except OSError as error:
+            raise UserError(
+                f"cannot write the log in {self.logger.log_dir} ({error.strerror or error}); make room and continue"
+                " with --resume, from the last checkpoint"
+            ) from error
 
     def save(self, path: str, infos: dict | None = None) -> None:
-        """Write a checkpoint after the current iteration.
+        """Write a checkpoint when an iteration is over, and beside it the rest of the state.
 
         Raises:
             TimeIsUp: The time given to this run is over; several processes first have to agree on that.
         """
+        if self.is_distributed:
+            self.save_networks(path)
+        else:
+            resuming.write(self, Path(path))
+            try:
+                self.save_networks(path)
+            except UserError:
+                resuming.beside(Path(path)).unlink(missing_ok=True)  # makes room, and belongs to nothing
+                raise
+            resuming.drop_older(Path(path))
+        if time.monotonic() > self._deadline and self.is_distributed:
+            self._reason_to_stop = max(self._reason_to_stop, 1)
+        elif time.monotonic() > self._deadline:
+            raise TimeIsUp
+
+    def save_networks(self, path: str) -> None:
+        """Write a checkpoint of what has been learned so far, also within an iteration."""
         checkpoint.write(
             Path(path),
             task=to_dict(self.env.task),
@@ -170,10 +227,6 @@ class Runner(OnPolicyRunner):
             samples=self.logger.tot_timesteps,
             algorithm=self.alg.save(),
         )
-        if time.monotonic() > self._deadline and self.is_distributed:
-            self._reason_to_stop = max(self._reason_to_stop, 1)
-        elif time.monotonic() > self._deadline:
-            raise TimeIsUp
 
     def restore(self, content: dict[str, Any]) -> None:
         """Continue from a checkpoint: networks, normalisers, optimiser with its learning rate, iteration, samples.

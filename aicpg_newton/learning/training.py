@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -26,10 +26,10 @@ from aicpg_newton.env.registry import task_from_dict
 from aicpg_newton.env.stored import plain, to_dict
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
-from aicpg_newton.files import write_text
+from aicpg_newton.files import only_one, write_text
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
-from aicpg_newton.learning import checkpoint, distributed
-from aicpg_newton.learning.bookkeeping import claim, git_revision, new_folder, release, store_changes
+from aicpg_newton.learning import checkpoint, distributed, resuming
+from aicpg_newton.learning.bookkeeping import RUNNING, claim, git_revision, new_folder, release, store_changes
 from aicpg_newton.learning.runner import Runner, TimeIsUp
 from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, POSITIVE, SEED, check_ranges
 from aicpg_newton.robot.fingerprint import fingerprint
@@ -79,8 +79,8 @@ class _Plan:
     learner_device: torch.device
     pattern: PatternNetwork
     num_envs: int
-    previous: dict[str, Any] | None
-    """Content of the checkpoint that is continued."""
+    found: checkpoint.Found | None
+    """The checkpoint that is continued."""
     start: dict[str, Any] | None
     """Content of the checkpoint whose networks a new run begins with."""
 
@@ -102,10 +102,28 @@ def train(task: Task, options: RunOptions) -> Path:
         plan = distributed.together(lambda: _plan(task, options))
         folder = distributed.from_first(lambda: _run_folder(task, options))
         try:
-            return _train_in(folder, task, options, plan)
+            return _alone_in(folder, lambda: _train_in(folder, task, options, plan))
         finally:
             if distributed.rank() == 0:
                 release(folder)
+
+
+def _alone_in(folder: Path, work: Callable[[], Path]) -> Path:
+    """Work in a run folder for as long as no other training does; of several processes the first one looks.
+
+    Raises:
+        UserError: Another training does.
+    """
+    with only_one(folder / RUNNING) if distributed.rank() == 0 else nullcontext(True) as alone:
+
+        def look() -> None:
+            if not alone:
+                raise UserError(f"another process trains in {folder} at this moment; stop it first, or wait for it")
+
+        distributed.together(look)
+        for partial in folder.glob("*.pt.partial") if distributed.rank() == 0 else ():
+            partial.unlink(missing_ok=True)  # of a process that was killed in the middle of a save
+        return work()
 
 
 def _plan(task: Task, options: RunOptions) -> _Plan:
@@ -117,7 +135,10 @@ def _plan(task: Task, options: RunOptions) -> _Plan:
     learner_device = resolve_learner_device(options.learner_device, engine_name(options.engine, device), device)
     if options.resume is not None and options.start_from is not None:
         raise UserError("--resume continues a run and --start-from begins a new one; give one of them")
-    previous = None if options.resume is None else checkpoint.read(options.resume)
+    found = None if options.resume is None else checkpoint.find(options.resume)
+    previous = None if found is None else found.content
+    for sentence in () if found is None else found.skipped:
+        print(sentence)
     start = None if options.start_from is None else checkpoint.read(options.start_from)
     if previous is not None:
         checkpoint.require_run(previous, options.resume or Path())
@@ -150,12 +171,13 @@ def _plan(task: Task, options: RunOptions) -> _Plan:
     samples = num_envs * task.learning.steps_per_iteration
     if samples < task.learning.minibatches:
         raise UserError(f"{samples} samples do not fill learning.minibatches = {task.learning.minibatches}; lower it")
-    return _Plan(device, learner_device, pattern, num_envs, previous, start)
+    return _Plan(device, learner_device, pattern, num_envs, found, start)
 
 
 def _train_in(folder: Path, task: Task, options: RunOptions, plan: _Plan) -> Path:
     """Train in a folder that is this run's own; the first process alone writes into it."""
-    previous, start, rank, processes = plan.previous, plan.start, distributed.rank(), distributed.size()
+    previous = None if plan.found is None else plan.found.content
+    start, rank, processes = plan.start, distributed.rank(), distributed.size()
     done = 0 if previous is None else previous["iteration"]
     begun = {"seed": options.seed or 0} if previous is None else previous["run"]
     origin = begun.get("start_from")
@@ -195,13 +217,13 @@ def _train_in(folder: Path, task: Task, options: RunOptions, plan: _Plan) -> Pat
     if previous is not None:
         runner.restore(previous)
         runner.obey(task.learning, task_from_dict(previous["task"], str(options.resume)).learning)
-        print(f"Resumed {options.resume} after {done} iterations.")
     if rank == 0:
         _write_records(folder, environment.task, run, done)
     resume = f"{places.command('train')} --resume {folder}"
+    exact = plan.found is not None and _resumed(runner, plan.found)
     try:
-        with signals_that_interrupt(runner.stop_together if processes > 1 else None):
-            runner.learn(options.max_iterations - done, init_at_random_ep_len=True)
+        with signals_that_interrupt(runner.stop_together if processes > 1 else runner.stop_soon):
+            runner.learn(options.max_iterations - done, init_at_random_ep_len=not exact)
     except TimeIsUp:
         print(f"The {options.max_minutes:g} minutes are over; continue with:  {resume}")
     except KeyboardInterrupt:
@@ -217,7 +239,7 @@ def _train_in(folder: Path, task: Task, options: RunOptions, plan: _Plan) -> Pat
         ) from error
     if rank > 0:
         return folder
-    last = checkpoint.latest(folder)
+    last = checkpoint.find(folder).path
     overflows = engine.overflows()
     if overflows:
         print(f"Contact or constraint buffers overflowed in {overflows} environments; raise physics.max-contacts.")
@@ -236,11 +258,21 @@ def _write_records(folder: Path, task: Task, run: dict[str, Any], done: int) -> 
 
 def _keep(runner: Runner, folder: Path, resume: str) -> None:
     """Save the iterations of a run that ends early, and say what goes on with them."""
-    if distributed.rank() > 0 or not runner.has_learned:
+    if distributed.rank() > 0:
         return
-    with suppress(TimeIsUp):
-        runner.save(str(folder / f"model_{runner.current_learning_iteration}.pt"))
-    print(f"\nStopped; continue with:  {resume}")
+    path = folder / f"model_{runner.current_learning_iteration}.pt"
+    if runner.has_learned and not resuming.beside(path).is_file():  # in the middle of an iteration
+        runner.save_networks(str(path))
+    if any(folder.glob("model_*.pt")):
+        print(f"\nStopped; continue with:  {resume}")
+
+
+def _resumed(runner: Runner, found: checkpoint.Found) -> bool:
+    """Go on exactly where a checkpoint was written, if that can be, and say so."""
+    reason = resuming.restore(runner, found.path)
+    begins = "" if not reason else f"; robots, episodes and random numbers begin anew, as {reason}"
+    print(f"Resumed {found.path} after {found.content['iteration']} iterations{begins}.")
+    return not reason
 
 
 def with_networks_of(task: Task, start_from: Path) -> Task:
@@ -262,14 +294,14 @@ def task_of(resume: Path) -> Task:
     Raises:
         UserError: The checkpoint cannot be read, or is of another version.
     """
-    return task_from_dict(checkpoint.read(resume)["task"], str(resume))
+    return task_from_dict(checkpoint.find(resume).content["task"], str(resume))
 
 
 def _run_folder(task: Task, options: RunOptions) -> Path:
     """Where the run goes; a folder that holds another run is never written into."""
     if options.run_dir is None and options.resume is not None:
         folder = options.resume if options.resume.is_dir() else options.resume.parent
-        last = checkpoint.latest(folder)
+        last = checkpoint.find(folder).path
         if options.resume.is_file() and last.name != options.resume.name:
             raise UserError(f"{folder} holds later checkpoints up to {last.name}; resume that one, or give --run-dir")
         return folder

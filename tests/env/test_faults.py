@@ -8,8 +8,8 @@ import torch
 from aicpg_newton.engines import Engine
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.faults import CAUSES, BadStates, FaultCount, cause_of, sentence
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.gait.cpg import PatternNetwork
-from tasks import get_task
 
 NAN, INF = float("nan"), float("inf")
 

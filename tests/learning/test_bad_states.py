@@ -12,6 +12,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from aicpg_newton.bad_states import BadStatesOptions, show
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.faults import CAUSES
+from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import ImitationTask, Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
@@ -19,7 +20,6 @@ from aicpg_newton.learning import bad_states
 from aicpg_newton.learning.amp import AdversarialMotionPriors
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.training import RunOptions, train
-from tasks import get_task
 
 
 def small_task(method: str = "ai-cpg") -> Task:
