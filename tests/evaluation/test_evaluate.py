@@ -140,7 +140,7 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path: Path):
             "CPG alone, seed 0 has no more than one; give --checkpoint its run",
         ),
         ({"agent": "zero", "task": "uneven", "terrain_seed": (7, 8, 7)}, "give each seed once"),
-        ({"agent": "zero", "task": "uneven", "terrain_seed": (-1,)}, "give at least 1 and 0"),
+        ({"agent": "zero", "task": "uneven", "terrain_seed": (-1,)}, "--terrain-seed is -1"),
     ],
 )
 def test_bad_options(changes: dict, message: str, tmp_path: Path):

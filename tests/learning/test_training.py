@@ -104,7 +104,7 @@ def test_resume_goes_on_counting(run: Path, tmp_path: Path):
     begun = train(small_task(), options(tmp_path / "first", start_from=run, seed=7, max_iterations=1))
     last = train(small_task(), options(tmp_path / "second", resume=begun, max_iterations=2))
     kept = checkpoint.read(last)["run"]
-    assert kept["seed"] == 7 and kept["start_from"] == f"{run} (64 samples)"
+    assert kept["seed"] == 7 and kept["start_from"] == f"{run.name} (64 samples)"
     last = train(small_task(), options(tmp_path / "third", resume=run, max_iterations=3))
     assert last.name == "model_2.pt"
     content = checkpoint.read(last)
