@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -135,19 +135,21 @@ class MujocoEngine:
         joint_of = {int(dof): i for i, dof in enumerate(solver.mjc_jnt_to_newton_dof.numpy()[0])}
         bodies = [body_of[link] for link in layout.links]
         joints = [joint_of[ROOT_DOFS + hinge] for hinge in layout.joints]
-        _add_sensors(
+        add_sensors(
             spec,
             [exported.body(bodies[LINK_NAMES.index(name)]).name for name in FOOT_NAMES],
             [exported.joint(joint).name for joint in joints],
         )
         if self.terrain is not None:
             _replace_plane(spec, self.terrain)
-        model = self.model = spec.compile()
-        model.opt.timestep = self.physics.timestep
+        spec.option.timestep = self.physics.timestep
         # Left on, it would put a diverged environment back to the initial pose without a word.
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
         # One robot is one island: looking for others took a fifth of the time.
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND.value
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND.value
+        self.spec = spec
+        """What the model was made from, with Newton's names."""
+        model = self.model = spec.compile()
         self._coordinates = model.jnt_qposadr[joints]
         self._dofs = model.jnt_dofadr[joints]
         self._spine = self._coordinates[[joint_index(name) for name in SPINE_JOINTS]]
@@ -363,7 +365,7 @@ def _add_studs(foot: mujoco.MjsGeom) -> None:
             )
 
 
-def _add_sensors(spec: mujoco.MjSpec, feet: list[str], joints: list[str]) -> None:
+def add_sensors(spec: mujoco.MjSpec, feet: Sequence[str], joints: Sequence[str]) -> None:
     """Add what :meth:`MujocoEngine._read_sensors` takes apart: sensors of both feet, then each joint's motor torque."""
     data = mujoco.mjtConDataField
     wanted = sum(1 << field.value for field in (data.mjCONDATA_FORCE, data.mjCONDATA_TORQUE, data.mjCONDATA_POS))

@@ -47,8 +47,8 @@ class Trained:
         return cls(path, content, task, PatternNetwork.from_content(content["pattern"], str(path)))
 
 
-def load_policy(environment: Environment, trained: dict[str, Any]) -> Agent:
-    """The deterministic network of a checkpoint.
+def load_network(environment: Environment, trained: dict[str, Any]) -> torch.nn.Module:
+    """The deterministic network of a checkpoint; takes a dictionary with the observations under ``policy``.
 
     Args:
         environment: The environment it will control, with the checkpoint's task.
@@ -60,5 +60,10 @@ def load_policy(environment: Environment, trained: dict[str, Any]) -> Agent:
     with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints the layers of every network it makes
         runner = Runner(environment, trained["run"])
     runner.take_networks(trained, "actor")
-    policy = runner.policy()
-    return lambda observed: policy({"policy": observed})
+    return runner.policy()
+
+
+def load_policy(environment: Environment, trained: dict[str, Any]) -> Agent:
+    """The same as an agent; arguments and errors as for :func:`load_network`."""
+    network = load_network(environment, trained)
+    return lambda observed: network({"policy": observed})
