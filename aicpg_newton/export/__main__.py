@@ -1,7 +1,8 @@
-"""Take a trained network out of this package: python -m aicpg_newton.export --out DIR.
+"""Take a trained network out of this package: python -m aicpg_newton.export --out DIR, or --web DIR for a page.
 
-DIR gets controller.onnx, the whole controller from plain physics to motor commands, and humanoid.xml, a stock MuJoCo
-model whose motors take them. examples/stand_alone.py shows how the two go together.
+--out writes controller.onnx, the whole controller from plain physics to motor commands, and humanoid.xml, a stock
+MuJoCo model whose motors take them; examples/stand_alone.py shows how the two go together. --web builds a page that
+any static host can serve and that does all of it in the browser.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import tyro
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.export.controller import Controller, check_packages, write_onnx
 from aicpg_newton.export.model import stock_model
+from aicpg_newton.export.web import check_source, write_page
 from aicpg_newton.files import write_text
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.policy import Trained
@@ -25,8 +27,10 @@ class ExportOptions:
 
     checkpoint: Path | None = None
     """Trained AI-CPG network: a model_*.pt or a run folder; the best of those that ship when not given."""
-    out: Path
+    out: Path | None = None
     """Folder for controller.onnx and humanoid.xml; made where it is missing."""
+    web: Path | None = None
+    """Folder for the page, likewise; building it takes Node.js and, the first time, the npm registry."""
 
 
 def export(options: ExportOptions) -> None:
@@ -35,13 +39,24 @@ def export(options: ExportOptions) -> None:
     Raises:
         UserError: The checkpoint cannot be read or exported, a package is missing, or the folder cannot be written to.
     """
+    if options.out is None and options.web is None:
+        raise UserError("nothing to do; give --out DIR for the model's files or --web DIR for a page")
     check_packages()
+    if options.web is not None:
+        check_source()
     controller = Controller(Trained.read(options.checkpoint or checkpoint.best_for("flat")))
-    _make_folder(options.out)
-    print("Tracing the controller takes a minute.", flush=True)
-    write_onnx(controller, options.out / "controller.onnx")
-    write_text(options.out / "humanoid.xml", stock_model(controller.engine, controller.motors, controller.pattern))
-    print(f"wrote {options.out / 'controller.onnx'} and {options.out / 'humanoid.xml'}")
+    folders = [folder for folder in (options.out, options.web) if folder is not None]
+    for folder in folders:
+        _make_folder(folder)
+    if options.web is not None:
+        write_page(controller, options.web)
+    print("Tracing the controller takes up to a minute.", flush=True)
+    write_onnx(controller, [folder / "controller.onnx" for folder in folders])
+    for folder in folders:
+        write_text(folder / "humanoid.xml", stock_model(controller.engine, controller.motors, controller.pattern))
+        print(f"wrote {folder}")
+    if options.web is not None:
+        print(f"To look at the page: python -m http.server --directory {options.web}")
 
 
 def _make_folder(path: Path) -> None:

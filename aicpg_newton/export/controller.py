@@ -6,6 +6,7 @@ import importlib.util
 import json
 import logging
 import warnings
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -168,8 +169,8 @@ def check_packages() -> None:
         raise UserError(f'the export needs {" and ".join(missing)}; run: pip install -e ".[export]"')
 
 
-def write_onnx(controller: Controller, path: Path) -> None:
-    """Write a controller for any number of robots at once.
+def write_onnx(controller: Controller, paths: Sequence[Path]) -> None:
+    """Write a controller for any number of robots at once; tracing takes a while, so to several places at once too.
 
     Raises:
         UserError: The disk does not take the file.
@@ -192,5 +193,6 @@ def write_onnx(controller: Controller, path: Path) -> None:
     for node in program.model.graph:  # they name the files of this machine
         node.metadata_props.clear()
     program.model.metadata_props.update(controller.facts())
-    with WholeFile(path) as temporary:
-        program.save(str(temporary), external_data=False)
+    for path in paths:
+        with WholeFile(path) as temporary:
+            program.save(str(temporary), external_data=False)

@@ -26,6 +26,12 @@ def test_nothing_is_written_for_a_checkpoint_that_does_not_do(tmp_path: Path, pa
     assert not (tmp_path / "new").exists()
 
 
+def test_nothing_to_do():
+    """Where to is not said."""
+    with pytest.raises(UserError, match="nothing to do; give --out DIR"):
+        export(ExportOptions())
+
+
 def test_a_folder_that_cannot_be_made(tmp_path: Path):
     """As a file has its name."""
     (tmp_path / "file").touch()
@@ -35,7 +41,7 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path):
 
 def test_the_example_is_short_and_needs_nothing_of_this_package():
     """Under 80 lines."""
-    text = EXAMPLE.read_text()
+    text = EXAMPLE.read_text(encoding="utf-8")
     assert len(text.splitlines()) < 80
     assert set(re.findall(r"(?m)^(?:import|from) (\w+)", text)) == {
         "sys",
