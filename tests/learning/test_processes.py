@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import random
 import select
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -37,6 +39,23 @@ def small_task() -> Task:
     learning.minibatches = learning.epochs = 1
     learning.save_interval = INTERVAL
     return task
+
+
+def in_a_fresh_interpreter(test: Callable[..., None]) -> Callable[..., None]:
+    """Run a test in a process that has no threads yet: what others hold while this one forks stays locked for ever."""
+
+    @functools.wraps(test)
+    def wrapped(*args: Any, **fixtures: Any) -> None:
+        if "IN_A_FRESH_INTERPRETER" in os.environ:
+            return test(*args, **fixtures)
+        name = os.environ["PYTEST_CURRENT_TEST"].rpartition(" (")[0]
+        command = [sys.executable, "-m", "pytest", "-q", "-s", "-m", "slow or not slow", name]
+        environment = {**os.environ, "IN_A_FRESH_INTERPRETER": "1"}
+        root = Path(__file__).parents[2]
+        done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
+
+    return wrapped
 
 
 def in_a_process(work: Callable[[], object], errors: Path | None = None) -> int:
@@ -98,6 +117,7 @@ def kill_at_random(folder: Path, engine: str, within_a_save: bool, dice: random.
     return int(next(line for line in reversed(told.split("\n")[:-1]) if line != "save"))
 
 
+@in_a_fresh_interpreter
 def test_whatever_kills_it_loses_no_more_than_an_interval(puppet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Five times kill -9, three of them within a save."""
     killed_again_and_again(5, "auto", puppet, tmp_path, monkeypatch)
@@ -105,6 +125,7 @@ def test_whatever_kills_it_loses_no_more_than_an_interval(puppet, tmp_path: Path
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kills", "engine"), [(44, "auto"), (6, "mujoco")])
+@in_a_fresh_interpreter
 def test_fifty_kills(kills: int, engine: str, puppet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Without physics, for which a process is quickly made, and some with."""
     killed_again_and_again(kills, engine, puppet, tmp_path, monkeypatch)
@@ -139,6 +160,7 @@ def killed_again_and_again(kills: int, engine: str, puppet, tmp_path: Path, monk
         (60_000, r"cannot write .*model_3\.pt"),
     ],
 )
+@in_a_fresh_interpreter
 def test_a_full_disk_is_one_sentence(room: int, sentence: str, puppet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """At the first file that does not fit; the last checkpoint and its state are as they were."""
     monkeypatch.setattr(training, "engine_for", lambda task, name, num_envs, device: puppet(num_envs))
@@ -165,6 +187,7 @@ def test_a_full_disk_is_one_sentence(room: int, sentence: str, puppet, tmp_path:
     assert checkpoint.read(resumed)["iteration"] == 4
 
 
+@in_a_fresh_interpreter
 def test_nobody_resumes_a_run_that_goes_on(puppet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """While it trains its folder is locked; once it is killed it is not."""
     monkeypatch.setattr(training, "engine_for", lambda task, name, num_envs, device: puppet(num_envs))
