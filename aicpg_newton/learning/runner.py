@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
+from torch.utils.tensorboard import SummaryWriter
 
 from aicpg_newton.device import torch_threads
 from aicpg_newton.env import faults
@@ -23,6 +24,7 @@ from aicpg_newton.env.stored import to_dict
 from aicpg_newton.env.task import Learning
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import bad_states, checkpoint, distributed, resuming
+from aicpg_newton.learning.demonstration import Demonstration, log_film
 from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.settings import runner_settings
 
@@ -55,6 +57,7 @@ class Runner(OnPolicyRunner):
         folder: Where logs and checkpoints go; None to log and save nothing.
         seconds: Time after which the next checkpoint is the last [s].
         device: Device of the networks; None for the environment's.
+        logger: Where curves go, as :func:`aicpg_newton.learning.settings.runner_settings` takes it.
     """
 
     env: Environment
@@ -67,17 +70,22 @@ class Runner(OnPolicyRunner):
         folder: Path | None = None,
         seconds: float = math.inf,
         device: torch.device | None = None,
+        logger: str = "tensorboard",
     ) -> None:
         self.run = run
         self._deadline = time.monotonic() + seconds
         self._reason_to_stop = 0
         self.has_learned = False
         """Whether there is anything to save that was not there before."""
-        settings = runner_settings(environment.task, mirror_of(environment.blocks), run["seed"])
+        settings = runner_settings(environment.task, mirror_of(environment.blocks), run["seed"], logger)
         log_dir = None if folder is None else str(folder)
         super().__init__(environment, settings, log_dir=log_dir, device=str(device or environment.device))
         self.logger.git_status_repos = []  # the run keeps what is to be kept of its code
         self.logger.log = self._and_then(self.logger.log)
+        self.demonstration: Demonstration | None = None
+        """What shows at every checkpoint how robots walk and run; None for nothing."""
+        self.film_every = 0
+        """Every how many demonstrations are filmed; 0 for none."""
         self._dumped = 0
         self._stops = False
         self.alg.update = torch_threads(torch.get_num_threads())(self._checked(self.alg.update))
@@ -141,12 +149,29 @@ class Runner(OnPolicyRunner):
             with suppress(OSError) if self._stops else nullcontext():  # the terminal may be gone
                 log(it=it, **facts)
                 self._tell_of_faults(it)
+                self._demonstrate(it)
             if self._stops:
                 self.current_learning_iteration = it
                 self.save(str(Path(self.logger.log_dir or "") / f"model_{it}.pt"))
                 raise KeyboardInterrupt
 
         return logged
+
+    def _demonstrate(self, iteration: int) -> None:
+        """Show where a training stands, at every checkpoint but the last."""
+        interval = self.cfg["save_interval"]
+        if self.demonstration is None or self._stops or iteration % interval:
+            return
+        measures = self.demonstration(lambda observed: self.decide(observed).cpu())
+        writer = self.logger.writer
+        for name, value in measures.items():
+            if writer is not None:
+                writer.add_scalar(name, value, iteration)
+        print("".join(f"{name + ':':>40} {value:.4f}\n" for name, value in measures.items()))
+        if self.film_every and (iteration // interval) % self.film_every == 0:
+            for film in self.demonstration.film(iteration):
+                if isinstance(writer, SummaryWriter):
+                    log_film(writer, film, iteration)
 
     def _tell_of_faults(self, iteration: int) -> None:
         """Log, say and, where that is asked for, write down whose simulation went wrong in an iteration."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
+from rsl_rl.utils.log_writer import LogWriter
 from tensordict import TensorDict
 
 from aicpg_newton.env.environment import Environment
@@ -47,13 +48,35 @@ class WithMirrorImages:
         return obs, actions
 
 
-def runner_settings(task: Task, mirror: Mirror, seed: int) -> dict[str, Any]:
+_LOGGERS: dict[str, Any] = {
+    "tensorboard": "tensorboard",
+    "wandb": {"class_name": "WandbLogWriter", "project_name": "aicpg_newton"},
+    "none": {"class_name": "aicpg_newton.learning.settings:NoLog"},
+}
+
+
+class NoLog(LogWriter):
+    """Keeps nothing; rsl_rl saves checkpoints only where there is a log.
+
+    Args:
+        log_dir: Not needed.
+    """
+
+    def __init__(self, log_dir: str) -> None:
+        del log_dir
+
+    def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
+        """Drop it."""
+
+
+def runner_settings(task: Task, mirror: Mirror, seed: int, logger: str = "tensorboard") -> dict[str, Any]:
     """The configuration of rsl_rl's ``OnPolicyRunner``.
 
     Args:
         task: Task, with the method's name and the learning settings.
         mirror: Mirror of the observations.
         seed: Recorded with the run.
+        logger: ``tensorboard``, ``wandb`` (TensorBoard's files too) or ``none``.
     """
     learning, method = task.learning, get_method(task.method)
     equivariant = learning.network == "equivariant"
@@ -77,7 +100,7 @@ def runner_settings(task: Task, mirror: Mirror, seed: int) -> dict[str, Any]:
         "num_steps_per_env": learning.steps_per_iteration,
         "save_interval": learning.save_interval,
         "obs_groups": {"actor": ["policy"], "critic": ["policy"]},
-        "logger": "tensorboard",
+        "logger": _LOGGERS[logger],
         "actor": {**network, "distribution_cfg": noise},
         "critic": {**network, "hidden_dims": list(learning.critic_hidden_sizes or learning.hidden_sizes)},
         "algorithm": {

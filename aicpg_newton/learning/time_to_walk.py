@@ -6,20 +6,19 @@ import contextlib
 import io
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
+from tensordict import TensorDict
 
-from aicpg_newton.device import finish, torch_threads
+from aicpg_newton.device import finish
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.runner import Runner
+from aicpg_newton.learning.trial import FREQUENCIES, Trial
 from aicpg_newton.robot.humanoid import CONTROL_RATE
-
-FREQUENCIES = (0.9, 1.3)
-"""A walk and a run [Hz], near the imitated clips'."""
 
 DURATION = 20.0
 """Simulated time to stay up for [s]."""
@@ -33,7 +32,6 @@ SHARE = 0.95
 INTERVAL = 81_920
 """Samples from test to test."""
 
-_TEST_SEED = 12345
 _LOOK = 10
 """Control steps after which a test sees whether it is lost already."""
 
@@ -116,47 +114,24 @@ class Stopwatch:
         return timed
 
 
-class WalkingTest:
-    """Tells whether a policy walks and runs; always from the same start states.
+def stays_up(trial: Trial, decide: Callable[[TensorDict], torch.Tensor]) -> tuple[tuple[float, ...], float]:
+    """Whether a policy walks and runs.
 
     Args:
-        task: What is learned.
-        engine: Name of the engine.
-        pattern: The pattern network S.
-        device: Device of the physics.
+        trial: The robots.
+        decide: The policy: from observations to actions, shape [num_envs, 28].
+
+    Returns:
+        Share that stands at each frequency at the end, and simulated time [s] to there. It is over as soon as more
+        robots have fallen at one of the frequencies than may.
     """
-
-    def __init__(self, task: Task, engine: str, pattern: PatternNetwork, device: torch.device) -> None:
-        self._steps = round(DURATION * CONTROL_RATE)
-        endless = replace(task.termination, episode_steps=self._steps + 1)
-        self._task = replace(task.undisturbed(), termination=endless)
-        self._engine = engine_for(self._task, engine, ROBOTS * len(FREQUENCIES), device)
-        self._pattern = pattern
-
-    def environment(self) -> Environment:
-        """The robots at the start of a test."""
-        environment = Environment(self._task, self._engine, self._pattern, seed=_TEST_SEED)
-        frequency = torch.tensor(FREQUENCIES, device=environment.device)
-        environment.restart(frequency.repeat_interleave(ROBOTS))
-        return environment
-
-    @torch_threads(1)
-    @torch.no_grad()
-    def __call__(self, runner: Runner) -> tuple[tuple[float, ...], float]:
-        """Share that stands at each frequency at the end, and simulated time [s] to there.
-
-        The test ends as soon as more robots have fallen at one of the frequencies than may.
-        """
-        environment = self.environment()
-        standing = torch.ones(len(FREQUENCIES), ROBOTS, dtype=torch.bool, device=environment.device)
-        observed, step = environment.get_observations(), 0
-        for step in range(1, self._steps + 1):
-            observed = environment.step(runner.decide(observed))[0]
-            ended = environment.outcome.fallen | environment.outcome.off_course
-            standing &= ~ended.view_as(standing)
-            if step % _LOOK == 0 and standing.float().mean(dim=1).min() < SHARE:
-                break
-        return tuple(standing.float().mean(dim=1).tolist()), step / CONTROL_RATE
+    standing, step = torch.ones(len(FREQUENCIES), trial.robots, dtype=torch.bool), 0
+    for step, outcome in enumerate(trial.outcomes(decide), start=1):
+        ended = outcome.fallen | outcome.off_course
+        standing = standing.to(ended.device) & ~ended.view_as(standing)
+        if step % _LOOK == 0 and standing.float().mean(dim=1).min() < SHARE:
+            break
+    return tuple(standing.float().mean(dim=1).tolist()), step / CONTROL_RATE
 
 
 def time_to_walk(
@@ -188,7 +163,7 @@ def time_to_walk(
     pattern = PatternNetwork.load()
     torch.manual_seed(seed)
     with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints the layers of every network it makes
-        test = WalkingTest(task, engine, pattern, device)
+        trial = Trial(task, engine, pattern, device, robots=ROBOTS, duration=DURATION)
         environment = Environment(task, engine_for(task, engine, num_envs, device), pattern, seed=seed)
         runner = Runner(environment, {"seed": seed}, device=learner_device)
     physics, around = Stopwatch(device), Stopwatch(device)
@@ -204,7 +179,7 @@ def time_to_walk(
         result.seconds += time.perf_counter() - began
         result.cpu_seconds += time.process_time() - began_cpu
         result.samples += iterations * an_iteration
-        tested = Test(result.samples, result.seconds, runner.alg.learning_rate, *test(runner))
+        tested = Test(result.samples, result.seconds, runner.alg.learning_rate, *stays_up(trial, runner.decide))
         result.tests.append(tested)
         result.passed = tested.passed
         show(f"seed {seed}: {tested.line()}")

@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass, replace
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import torch
 import yaml
@@ -30,8 +31,9 @@ from aicpg_newton.files import only_one, write_text
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint, distributed, resuming
 from aicpg_newton.learning.bookkeeping import RUNNING, claim, git_revision, new_folder, release, store_changes
+from aicpg_newton.learning.demonstration import Demonstration
 from aicpg_newton.learning.runner import Runner, TimeIsUp
-from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, POSITIVE, SEED, check_ranges
+from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, POSITIVE, SEED, Range, check_ranges
 from aicpg_newton.robot.fingerprint import fingerprint
 
 CONFIG_NAME = "config.yaml"
@@ -66,6 +68,12 @@ class RunOptions:
     """Checkpoint or run folder to continue, in the same folder unless --run-dir is given."""
     start_from: Path | None = None
     """Checkpoint or run folder whose networks and pattern a new run begins with, as assets/policies/flat.pt."""
+    logger: Literal["tensorboard", "wandb", "none"] = "tensorboard"
+    """Where curves go: TensorBoard files in the run folder, Weights & Biases too (pip install wandb), or nowhere."""
+    demonstrate: bool = True
+    """At every checkpoint let 16 other robots walk and run on a CPU for 4 s: curves of who stands, speed and flight."""
+    film_every: Annotated[int, Range(0, 1_000_000)] = 5
+    """Film a walk and a run at every so many of these checkpoints, into films/ in the run folder; 0 never."""
     dump_bad_states: bool = False
     """Write what a simulation that goes wrong began from into the run folder: bad_states_<iteration>.pt, at most 256
     robots. Every step is copied for that."""
@@ -133,6 +141,8 @@ def _plan(task: Task, options: RunOptions) -> _Plan:
     on_cpu = options.engine == "mujoco" and options.device == "auto"  # it runs nowhere else
     device = torch.device("cpu") if on_cpu else resolve_device(options.device)
     learner_device = resolve_learner_device(options.learner_device, engine_name(options.engine, device), device)
+    if options.logger == "wandb" and find_spec("wandb") is None:
+        raise UserError("--logger wandb needs a package that is not installed; run: pip install wandb")
     if options.resume is not None and options.start_from is not None:
         raise UserError("--resume continues a run and --start-from begins a new one; give one of them")
     found = None if options.resume is None else checkpoint.find(options.resume)
@@ -209,7 +219,10 @@ def _train_in(folder: Path, task: Task, options: RunOptions, plan: _Plan) -> Pat
         "versions": {name: metadata.version(name) for name in ("newton", "warp-lang", "mujoco", "torch", "rsl-rl-lib")},
     }
     seconds = math.inf if options.max_minutes is None else 60 * options.max_minutes
-    runner = Runner(environment, run, folder if rank == 0 else None, seconds, plan.learner_device)
+    own = folder if rank == 0 else None
+    runner = Runner(environment, run, own, seconds, plan.learner_device, logger=options.logger)
+    if options.demonstrate and rank == 0:
+        runner.demonstration, runner.film_every = Demonstration(task, plan.pattern, folder), options.film_every
     if start is not None:
         runner.take_networks(start, "actor", "critic")
         runner.obey(task.learning, task_from_dict(start["task"], str(options.start_from)).learning)

@@ -1,6 +1,7 @@
 """Time to walk: what is counted, what passes, and when a test is given up."""
 
 import time
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning import time_to_walk as walking
 from aicpg_newton.learning.runner import Runner
+from aicpg_newton.learning.trial import Trial
 
 CPU = torch.device("cpu")
 
@@ -29,12 +31,12 @@ def test_where_the_time_goes(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(walking, "INTERVAL", 128)
     tests = []
 
-    def slow_test(self: walking.WalkingTest, runner: Runner) -> tuple[tuple[float, ...], float]:
-        tests.append(runner)
+    def slow_test(trial: Trial, decide: Callable) -> tuple[tuple[float, ...], float]:
+        tests.append(decide)
         time.sleep(0.4)
         return (1.0, 0.9), 20.0
 
-    monkeypatch.setattr(walking.WalkingTest, "__call__", slow_test)
+    monkeypatch.setattr(walking, "stays_up", slow_test)
     lines: list[str] = []
     began = time.perf_counter()
     result = walking.time_to_walk(
@@ -55,7 +57,7 @@ def test_it_ends_with_the_first_test_that_is_passed(monkeypatch: pytest.MonkeyPa
     assert not walking.Test(1, 1.0, 1e-3, (60 / 64, 1.0), 20.0).passed
     monkeypatch.setattr(walking, "INTERVAL", 64)
     shares = iter([(0.5, 1.0), (0.96, 0.96)])
-    monkeypatch.setattr(walking.WalkingTest, "__call__", lambda self, runner: (next(shares), 20.0))
+    monkeypatch.setattr(walking, "stays_up", lambda trial, decide: (next(shares), 20.0))
     result = walking.time_to_walk(
         small_task(), seed=0, engine="mujoco", num_envs=8, device=CPU, maximum_samples=10_000, show=lambda line: None
     )
@@ -63,31 +65,30 @@ def test_it_ends_with_the_first_test_that_is_passed(monkeypatch: pytest.MonkeyPa
     assert result.samples == 128
 
 
-def test_the_shipped_network_walks_and_the_cpg_alone_does_not(pattern: PatternNetwork, monkeypatch: pytest.MonkeyPatch):
+def test_the_shipped_network_walks_and_the_cpg_alone_does_not(pattern: PatternNetwork):
     """On real physics for 4 s: one passes each time alike, the other is given up within 3 s."""
-    monkeypatch.setattr(walking, "DURATION", 4.0)
     trained = checkpoint.read(checkpoint.shipped("flat"))
     task = task_from_dict(trained["task"], "shipped")
-    test = walking.WalkingTest(task, "mujoco", pattern, CPU)
-    runner = Runner(test.environment(), trained["run"])
+    trial = Trial(task, "mujoco", pattern, CPU, robots=64, duration=4.0)
+    runner = Runner(trial.environment(), trained["run"])
     runner.take_networks(trained, "actor")
-    standing, lasted = test(runner)
+    standing, lasted = walking.stays_up(trial, runner.decide)
     assert lasted == 4.0
     assert min(standing) >= walking.SHARE
     with torch.no_grad():
         for weights in runner.alg.actor.mlp.parameters():
             weights.zero_()
-    standing, lasted = test(runner)
+    standing, lasted = walking.stays_up(trial, runner.decide)
     assert min(standing) < walking.SHARE
     assert 0.2 < lasted < 3.0
-    assert test(runner) == (standing, lasted)
+    assert walking.stays_up(trial, runner.decide) == (standing, lasted)
 
 
 def test_robots_are_tested_undisturbed(pattern: PatternNetwork):
     """Of a task that pushes and changes f as well: they are told one frequency, and keep it."""
     task = small_task()
     task.pushes.force, task.frequencies.change_interval, task.frequencies.jumps = 200.0, 0.1, 1.0
-    environment = walking.WalkingTest(task, "mujoco", pattern, CPU).environment()
+    environment = Trial(task, "mujoco", pattern, CPU, robots=2, duration=1.0).environment()
     for _ in range(20):
         environment.step(torch.zeros(environment.num_envs, 28))
     assert environment.task.pushes.force == 0.0
