@@ -65,7 +65,8 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
         """Only the first protocol is done."""
         evaluated.append(([each.name for each in protocols], controllers))
         folder.mkdir(exist_ok=True)
-        results.write(folder, protocols[0].name, [], {"controllers": identity_of(controllers, laboratory)})
+        description = {"controllers": identity_of(controllers, laboratory), "results": []}
+        results.write(folder, protocols[0].name, [], description)
 
     monkeypatch.setattr(compare, "evaluate", begin_to_evaluate)
     monkeypatch.setattr(compare, "draw_all", lambda folders, out: [])

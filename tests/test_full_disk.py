@@ -2,7 +2,8 @@
 
 import errno
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -21,15 +22,16 @@ from aicpg_newton.viewing import FilmstripRow, VideoWriter, save_filmstrip
 
 resource = pytest.importorskip("resource", reason="this system has no limits on the size of files")
 
-Limit = Callable[[int], None]
 
-
-@pytest.fixture
-def limit() -> Iterator[Limit]:
-    """Sets the largest size that a file may have from now on [bytes]."""
+@contextmanager
+def limit(size: int) -> Iterator[None]:
+    """No file may grow beyond this size [bytes] meanwhile: not for longer, as tests report into one, too."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def pose(rows: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -39,25 +41,24 @@ def pose(rows: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 
 
 @pytest.mark.parametrize("size", [100, 4000], ids=["at once", "in the middle"])
-def test_a_recording(size: int, tmp_path: Path, limit: Limit):
+def test_a_recording(size: int, tmp_path: Path):
     """The encoder is another process, which says little; a recording of before stays."""
     path = tmp_path / "walk.mp4"
     path.write_bytes(b"of before")
     generator = torch.Generator().manual_seed(0)
-    limit(size)
-    with pytest.raises(UserError, match=r"cannot write .*walk.mp4 .*; make room"), VideoWriter(path) as video:
+    refused = pytest.raises(UserError, match=r"cannot write .*walk.mp4 .*; make room")
+    with refused, limit(size), VideoWriter(path) as video:
         for _ in range(40):
             position, rotation, joints = pose(1)
             video.add(position, rotation, joints + torch.rand(1, NUM_JOINTS, generator=generator))
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"walk.mp4": b"of before"}
 
 
-def test_a_filmstrip(tmp_path: Path, limit: Limit):
+def test_a_filmstrip(tmp_path: Path):
     """The picture of before stays."""
     path = tmp_path / "strides.png"
     path.write_bytes(b"of before")
-    limit(1000)
-    with pytest.raises(UserError, match=r"cannot write .*strides.png \(File too large\); make room"):
+    with pytest.raises(UserError, match=r"cannot write .*strides.png \(File too large\); make room"), limit(1000):
         save_filmstrip(path, [FilmstripRow("0.9 Hz", *pose(8))])
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"strides.png": b"of before"}
 
@@ -70,7 +71,7 @@ def test_a_filmstrip_without_a_stride_fails(tmp_path: Path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_training(tmp_path: Path, limit: Limit):
+def test_a_training(tmp_path: Path):
     """Its last checkpoint stays, and what it was about to write does not."""
     task = get_task("flat")
     task.learning.hidden_sizes = (256, 256)
@@ -79,18 +80,17 @@ def test_a_training(tmp_path: Path, limit: Limit):
     options = {"num_envs": 4, "device": "cpu", "engine": "mujoco"}
     train(task, RunOptions(**options, max_iterations=1, run_dir=run))
     before = {path.name: path.read_bytes() for path in run.glob("model_*")}
-    limit(300_000)
-    with pytest.raises(UserError, match=r"cannot write .*model_1.pt \(File too large\); make room"):
+    with pytest.raises(UserError, match=r"cannot write .*model_1.pt \(File too large\); make room"), limit(300_000):
         train(task, RunOptions(**options, max_iterations=2, resume=run))
     assert {path.name: path.read_bytes() for path in run.glob("model_*")} == before
     assert not list(run.glob("*.partial"))
     assert checkpoint.read(run)["iteration"] == 1
 
 
-def test_a_full_temporary_folder(limit: Limit):
+def test_a_full_temporary_folder():
     """Named as that; the model goes through it on its way to MuJoCo."""
-    limit(1000)
-    with pytest.raises(UserError, match=r"cannot write into .* \(File too large\); make room there, or set TMPDIR"):
+    sentence = r"cannot write into .* \(File too large\); make room there, or set TMPDIR"
+    with pytest.raises(UserError, match=sentence), limit(1000):
         MujocoEngine(1, "cpu", motors(), Physics())
 
 

@@ -158,9 +158,9 @@ class Runner(OnPolicyRunner):
         return logged
 
     def _demonstrate(self, iteration: int) -> None:
-        """Show where a training stands, at every checkpoint but the last."""
+        """Show where a training stands, at every checkpoint but the first and the last."""
         interval = self.cfg["save_interval"]
-        if self.demonstration is None or self._stops or iteration % interval:
+        if self.demonstration is None or self._stops or iteration % interval or not iteration:
             return
         measures = self.demonstration(lambda observed: self.decide(observed).cpu())
         writer = self.logger.writer

@@ -98,7 +98,7 @@ def test_a_step_stays_on_its_device(method: str, uneven: bool, puppet, elsewhere
         task.ground = Ground(height_range=0.1, length=24.0, width=32.0, levels=3, level_strip=True)
     terrain = Terrain.make(task.ground)
     engine = puppet(6, None if terrain is None else terrain.to(ELSEWHERE))
-    engine.device = ELSEWHERE
+    engine.device, engine.overflowed = ELSEWHERE, engine.overflowed.to(ELSEWHERE)
     engine.state = type(engine.state)(**{name: value.to(ELSEWHERE) for name, value in vars(engine.state).items()})
     environment = Environment(task, engine, PatternNetwork.load())
     for _ in range(Starts.EVERY + 1):

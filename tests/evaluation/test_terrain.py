@@ -52,7 +52,7 @@ def make_run(tmp_path: Path, glider, pattern):
         task.learning.hidden_sizes = (8,)
         folder = tmp_path / name
         folder.mkdir()
-        runner = Runner(Environment(task, glider(2, Terrain.make(task.ground)), pattern), {"seed": seed})
+        runner = Runner(Environment(task, glider(2, Terrain.make(task.ground)), pattern), {"seed": seed, "num_envs": 2})
         for iteration in iterations:
             runner.current_learning_iteration = iteration
             runner.save(str(folder / f"model_{iteration}.pt"))

@@ -73,19 +73,20 @@ def test_a_baseline_has_one_gait(pattern: PatternNetwork, tmp_path: Path, short)
 def test_a_training_shows_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logger: Any):
     """Curves at every checkpoint, films at every second, in TensorBoard too; without a log there are films alone."""
     monkeypatch.setattr(demonstration, "DURATION", 0.2)
+    monkeypatch.setattr(training, "Demonstration", Demonstration)
     task = get_task("flat")
     task.learning.hidden_sizes, task.learning.steps_per_iteration, task.learning.save_interval = (16,), 4, 1
-    options = RunOptions(num_envs=4, device="cpu", max_iterations=3, run_dir=tmp_path, film_every=2, logger=logger)
-    assert train(task, options).name == "model_2.pt"
-    names = [f"{iteration:06d}_{gait}_Hz.mp4" for iteration in (0, 2) for gait in (0.9, 1.3)]
+    options = RunOptions(num_envs=4, device="cpu", max_iterations=5, run_dir=tmp_path, film_every=2, logger=logger)
+    assert train(task, options).name == "model_4.pt"
+    names = [f"{iteration:06d}_{gait}_Hz.mp4" for iteration in (2, 4) for gait in (0.9, 1.3)]
     assert sorted(film.name for film in (tmp_path / "films").iterdir()) == names
     events = EventAccumulator(str(tmp_path)).Reload()
     if logger == "none":
         assert not list(tmp_path.glob("events*"))
         return
-    assert [event.step for event in events.Scalars("Demonstration/0.9_Hz_stand")] == [0, 1, 2]
+    assert [event.step for event in events.Scalars("Demonstration/0.9_Hz_stand")] == [1, 2, 3, 4]
     shown = events.Images("Demonstration/1.3_Hz")
-    assert [event.step for event in shown] == [0, 2] and shown[0].encoded_image_string.startswith(b"GIF89a")
+    assert [event.step for event in shown] == [2, 4] and shown[0].encoded_image_string.startswith(b"GIF89a")
 
 
 def test_a_logger_that_is_not_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
