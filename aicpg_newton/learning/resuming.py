@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import torch
 
+from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.stored import to_dict
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
+from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.tensor_files import read_tensors
-
-if TYPE_CHECKING:
-    from aicpg_newton.learning.runner import Runner
 
 FORMAT = 1
 
@@ -29,12 +28,24 @@ _SAME = {"num_envs": "the number of environments", "engine": "the engine", "devi
 """Facts of a run that its state goes with."""
 
 
+class Training(Protocol):
+    """What goes on: the runner, as far as its state is concerned."""
+
+    env: Environment
+    alg: BoundedPPO
+    logger: Any
+    run: dict[str, Any]
+    device: str
+    is_distributed: bool
+    current_learning_iteration: int
+
+
 def beside(model: Path) -> Path:
     """The file of the state that goes with a checkpoint."""
     return model.with_name("state_" + model.name.removeprefix("model_"))
 
 
-def write(runner: Runner, model: Path) -> None:
+def write(runner: Training, model: Path) -> None:
     """Write the state that goes with a checkpoint which is about to be written.
 
     Raises:
@@ -67,7 +78,7 @@ def drop_older(model: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def restore(runner: Runner, model: Path) -> str:
+def restore(runner: Training, model: Path) -> str:
     """Put robots, random generators and logs where they were, as the last thing before a run goes on.
 
     Args:
@@ -104,7 +115,7 @@ def restore(runner: Runner, model: Path) -> str:
     return ""
 
 
-def _take_over(runner: Runner, content: dict[str, Any]) -> None:
+def _take_over(runner: Training, content: dict[str, Any]) -> None:
     """Put everything of a state where it belongs."""
     runner.env.load_state_dict(content["environment"])
     runner.alg.load_state_beside_networks(content["algorithm"])
