@@ -1,6 +1,7 @@
 """Networks on another device than the physics: tensors cross over where they must, shown by tensors without data."""
 
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -25,6 +26,7 @@ class CpuEnvironment(VecEnv):
         self.device, self.cfg = CPU, {}
         self.episode_length_buf = torch.zeros(4, dtype=torch.long)
         self.actions: list[torch.device] = []
+        self.faults = SimpleNamespace(take=dict)
 
     def get_observations(self) -> TensorDict:
         """Of the right size."""
