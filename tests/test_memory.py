@@ -30,6 +30,7 @@ def test_memory_and_buffers():
         assert 0 < mean <= most < 40 and 0 < constraints < 200 and overflows == 0
 
 
+@pytest.mark.slow
 def test_one_size_has_no_slope():
     """It says so in one sentence."""
     result = call("--num-envs", "4")

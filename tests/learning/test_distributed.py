@@ -85,7 +85,8 @@ def long_training(folder: Path) -> list[object]:
     return ["train.py", "--num-envs", 4, "--device", "cpu", "--run-dir", folder, "--max-iterations", 10**6, *sizes]
 
 
-@pytest.mark.parametrize("method", ["ai-cpg", pytest.param("amp", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["ai-cpg", "amp"])
 def test_two_processes_learn_one_network(method: str, tmp_path: Path, puppet, pattern: PatternNetwork):
     """Bit for bit, normalisers and learning rate too; one folder with one checkpoint of all samples, which plays."""
     ends = finish(start(2, SCRIPT, tmp_path, "train", method))
@@ -250,6 +251,7 @@ def test_what_cannot_be_several_processes_says_so(
     assert done == ["alone"]
 
 
+@pytest.mark.slow
 def test_one_refusal_is_told_once(tmp_path: Path):
     """By the first process, whichever has to refuse; nothing is written."""
     (tmp_path / "run").mkdir()
