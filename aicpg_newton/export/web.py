@@ -17,6 +17,7 @@ from aicpg_newton.export.controller import INPUTS, Controller
 from aicpg_newton.export.model import stock_model
 from aicpg_newton.files import write_text
 from aicpg_newton.places import ASSETS
+from aicpg_newton.playing.attended import TURN_RATE
 from aicpg_newton.robot.humanoid import CONTROL_RATE, GRAVITY, LEG_LENGTH
 
 SOURCE = ASSETS.parent / "web"
@@ -25,8 +26,8 @@ SOURCE = ASSETS.parent / "web"
 _GROUND = Ground(height_range=0.1, length=32.0, width=32.0, seed=1000)
 """Uneven ground as high as the paper's, of a seed that no training takes by itself."""
 
-_START, _TURN_RATE = 0.9, 0.25
-"""Stride frequency at the start [Hz], and how fast it follows the slider [Hz/s]."""
+_START = 0.9
+"""Stride frequency at the start [Hz]."""
 
 
 def write_page(controller: Controller, folder: Path) -> None:
@@ -45,7 +46,7 @@ def write_page(controller: Controller, folder: Path) -> None:
         "substeps": physics.substeps,
         "frequency_range": [frequencies.minimum, frequencies.maximum],
         "start_frequency": _START,
-        "turn_rate": _TURN_RATE,
+        "turn_rate": TURN_RATE,
         "gaits": [{"name": gait.name, "frequency": gait.frequency} for gait in pattern.gaits],
         "leg_length": LEG_LENGTH,
         "gravity": GRAVITY,

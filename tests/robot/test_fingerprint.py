@@ -74,7 +74,11 @@ def test_gains_and_the_heads_position_count(table: str, monkeypatch: pytest.Monk
     [
         ("<worldbody>", '<include file="/etc/passwd"/><worldbody>', "has an <include>"),
         ("<worldbody>", '<include file="other.xml"/><worldbody>', "has an <include>"),
-        ("<worldbody>", '<asset><mesh file="/root/a.stl"/></asset><worldbody>', "names '/root/a.stl', outside"),
+        (
+            "<worldbody>",
+            '<asset><mesh file="/other/a.stl"/></asset><worldbody>',
+            "names '/other/a.stl', outside",
+        ),
         ("<worldbody>", '<asset><mesh file="C:\\a.stl"/></asset><worldbody>', "outside of its own folder"),
         ("<worldbody>", '<asset><texture file="../a.png"/></asset><worldbody>', "outside of its own folder"),
         ('angle="degree"', 'angle="degree" meshdir="/root"', "names '/root', outside"),
