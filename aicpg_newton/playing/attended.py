@@ -66,6 +66,7 @@ class Attended:
         self._environment, self._agent = begin(desk.ground)
         self._knobs = [Knob(frequency) for frequency in desk.frequencies]
         self._speeds: deque[torch.Tensor] = deque(maxlen=round(CONTROL_RATE))
+        self._pushed: tuple[float, Push] | None = None
         self.turned = False
         """Whether anybody has turned a stride frequency."""
 
@@ -82,7 +83,7 @@ class Attended:
             frame.readings = self._read(frame, step)
             yield frame
             for wish in self._desk.asked():
-                self._obey(wish)
+                self._obey(wish, step * CONTROL_DT)
                 if isinstance(wish, ChangeGround):
                     rest = self._rollout(steps - step)
             if self.turned:
@@ -92,7 +93,7 @@ class Attended:
     def _rollout(self, steps: int) -> Iterator[Frame]:
         return physical_frames(self._environment, self._agent, steps, self._tally)
 
-    def _obey(self, wish: Wish) -> None:
+    def _obey(self, wish: Wish, time: float) -> None:
         if isinstance(wish, Restart | ChangeGround):
             frequency = self._environment.commands.frequency
             if isinstance(wish, ChangeGround):
@@ -103,6 +104,7 @@ class Attended:
             force = torch.zeros(self._environment.num_envs, 3)
             force[self._robots(wish.robot)] = wish.force * torch.tensor(DIRECTIONS[wish.direction])
             self._environment.push(force.to(self._environment.device))
+            self._pushed = time, wish
         else:
             way = ON_RAMP if isinstance(wish, Ramp) else [(wish.frequency, TURN_RATE)]
             for knob in self._knobs[self._robots(wish.robot)]:
@@ -126,4 +128,5 @@ class Attended:
             froude=froude_number(speed).tolist(),
             contact=[(right, left) for right, left in contact],
             falls=self._tally.falls.tolist(),
+            pushed=self._pushed,
         )

@@ -77,6 +77,8 @@ class Readings:
     """Whether the right and the left foot are on the ground."""
     falls: list[int]
     """Falls so far, leaving the course included."""
+    pushed: tuple[float, Push] | None = None
+    """The last push and when it began [s]; None before the first."""
 
 
 @dataclass

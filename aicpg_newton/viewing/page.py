@@ -114,6 +114,10 @@ def table(readings: Readings, robot: int | None, pace: float) -> str:
             f" | {degrees:.0f}° | {readings.falls[row]} |"
         )
     told = f"t = {readings.time:.1f} s"
+    if readings.pushed is not None:
+        when, push = readings.pushed
+        who = "" if push.robot is None else f"robot {push.robot + 1} "
+        told += f"; {who}pushed {push.direction} with {push.force:.0f} N at {when:.1f} s"
     if pace < _REAL_TIME:
         told += f", at {pace:.2f} of real time: this machine does not keep up; show fewer robots"
     return "\n".join([*lines, "", told])

@@ -49,7 +49,7 @@ def in_a_fresh_interpreter(test: Callable[..., None]) -> Callable[..., None]:
         if "IN_A_FRESH_INTERPRETER" in os.environ:
             return test(*args, **fixtures)
         name = os.environ["PYTEST_CURRENT_TEST"].rpartition(" (")[0]
-        command = [sys.executable, "-m", "pytest", "-q", "-s", "-m", "slow or not slow", name]
+        command = [sys.executable, "-m", "pytest", "-q", "-s", "-n", "0", "-m", "slow or not slow", name]
         environment = {**os.environ, "IN_A_FRESH_INTERPRETER": "1"}
         root = Path(__file__).parents[2]
         done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=False)

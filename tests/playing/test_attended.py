@@ -85,9 +85,13 @@ def test_a_ramp_goes_up_and_comes_back(attended):
 def test_a_push_acts_on_one_robot_for_a_tenth_of_a_second(attended):
     """Six control steps, along the world's axes; robots go along x, so left is +y."""
     robots, desk, engines = attended
-    for step, _ in enumerate(robots.frames(20)):
+    push, told = Push("to the left", 150.0, robot=1), []
+    for step, frame in enumerate(robots.frames(20)):
+        assert frame.readings is not None
+        told.append(frame.readings.pushed)
         if step == 4:
-            desk.ask(Push("to the left", 150.0, robot=1))
+            desk.ask(push)
+    assert told == [None] * 5 + [(pytest.approx(5 / CONTROL_RATE), push)] * 15
     pushes = [call["push"] for call in engines[0].calls]
     assert [push is not None for push in pushes] == [False] * 5 + [True] * 6 + [False] * 9
     assert pushes[5].tolist() == [[0.0, 0.0, 0.0], [0.0, 150.0, 0.0]]

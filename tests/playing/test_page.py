@@ -3,6 +3,8 @@
 Needs ``apt install chromium chromium-driver`` and ``pip install viser selenium``.
 """
 
+# pyright: reportMissingImports=false
+
 import os
 import re
 import shutil
@@ -113,7 +115,7 @@ def field(browser: Any, label: str) -> Any:
 
 
 def test_turn_and_read(playing, browser, tmp_path: Path):
-    """F is turned to 1.3 Hz and the speed follows; a push from the front slows the robots down for a while."""
+    """F is turned to 1.3 Hz and the speed follows; a push is told of, and the robots stay on their feet."""
     from selenium.webdriver.common.keys import Keys
 
     _, address = playing
@@ -127,5 +129,9 @@ def test_turn_and_read(playing, browser, tmp_path: Path):
     after = wait(browser, 5.0)
     assert [row[1] for row in after] == pytest.approx([1.3, 1.3], abs=0.01)
     assert all(2.8 < row[2] < 3.8 for row in after)
-    assert wait(browser, 1.0)[0][5] == 0
+    browser.find_element("xpath", "//button[.//text()='Push']").click()
+    fallen = wait(browser, 1.0)[0][5]
+    told = re.search(r"pushed forwards with 200 N at ([\d.]+) s", browser.execute_script("return document.body.textContent"))
+    assert told is not None and simulated(browser) - float(told[1]) < 5.0
+    assert fallen == 0
     assert browser.save_screenshot(str(tmp_path / "page.png")) and (tmp_path / "page.png").stat().st_size > 20_000

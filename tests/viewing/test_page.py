@@ -1,6 +1,7 @@
 """The page's readings and pictures, without a browser."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +40,14 @@ def test_table_of_readings():
     alone = table(READINGS, 1, pace=0.5).splitlines()
     assert alone[2] == lines[3] and len(alone) == len(lines) - 1
     assert "0.50 of real time" in alone[-1] and "does not keep up" in alone[-1]
+
+
+def test_the_last_push_is_told():
+    """Of whom, whither, how hard and when."""
+    all_robots = replace(READINGS, pushed=(11.03, Push("to the left", 200.0)))
+    assert table(all_robots, None, pace=1.0).splitlines()[-1] == "t = 12.3 s; pushed to the left with 200 N at 11.0 s"
+    one = replace(READINGS, pushed=(11.03, Push("forwards", 50.0, robot=1)))
+    assert "; robot 2 pushed forwards with 50 N at 11.0 s, at 0.50 of real time" in table(one, None, pace=0.5)
 
 
 def test_gait_diagram():
