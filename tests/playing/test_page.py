@@ -129,9 +129,9 @@ def test_turn_and_read(playing, browser, tmp_path: Path):
     after = wait(browser, 5.0)
     assert [row[1] for row in after] == pytest.approx([1.3, 1.3], abs=0.01)
     assert all(2.8 < row[2] < 3.8 for row in after)
+    began = simulated(browser)
     browser.find_element("xpath", "//button[.//text()='Push']").click()
     fallen = wait(browser, 1.0)[0][5]
     told = re.search(r"pushed forwards with 200 N at ([\d.]+) s", browser.execute_script("return document.body.textContent"))
-    assert told is not None and simulated(browser) - float(told[1]) < 5.0
-    assert fallen == 0
+    assert told is not None and float(told[1]) >= began and fallen == 0
     assert browser.save_screenshot(str(tmp_path / "page.png")) and (tmp_path / "page.png").stat().st_size > 20_000
