@@ -34,8 +34,8 @@ class EvaluateOptions:
     """newton, mujoco, or auto: newton on CUDA and mujoco on a CPU."""
     device: str = "auto"
     """auto, cpu or cuda:N."""
-    num_envs: Annotated[int, ENVIRONMENTS] = 64
-    """Number of environments, shared out evenly among the frequencies."""
+    num_envs: Annotated[int | None, ENVIRONMENTS] = None
+    """Number of environments, shared out evenly among the frequencies; 32 for each, at least 64, when not given."""
     protocol: Literal[
         "sweep", "disturbance", "transition", "slowing", "up_and_down", "speed", "terrain", "training", "all"
     ] = "all"

@@ -37,8 +37,8 @@ class PublishOptions:
     """Folder to write <task>.pt and <task>.yaml into; a baseline's names go on with method and condition."""
     replace: bool = False
     """Put it in the place of the network that ships under that name; without, both are only shown side by side."""
-    num_envs: Annotated[int, ENVIRONMENTS] = 60
-    """Robots that old and new are tested with."""
+    num_envs: Annotated[int | None, ENVIRONMENTS] = None
+    """Robots that old and new are tested with; 32 for each frequency when not given."""
     device: str = "auto"
     """auto, cpu or cuda:N."""
     engine: str = "auto"

@@ -36,7 +36,7 @@ def main() -> None:
     trained = Trained.read(Path(sys.argv[1]))
     task = on_task(trained.task, get_task("flat")).undisturbed()
     task.termination.episode_steps = STEPS + 1
-    engine = Laboratory(NUM_ENVS, device="cpu").engine_of(task)
+    engine = Laboratory(device="cpu").engine_of(task, NUM_ENVS)
     environment = Environment(task, engine, trained.pattern)
     group = share_out(NUM_ENVS, len(FREQUENCIES))
     environment.restart(torch.tensor(FREQUENCIES)[group])

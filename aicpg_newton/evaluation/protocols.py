@@ -19,6 +19,15 @@ GAITS = {"walking": 0.9, "running": 1.3}
 TERRAIN_SEEDS = (1001, 1002, 1003, 1004, 1005)
 """Seeds of the terrain for tests; training never uses them unless it is told to."""
 
+
+def environments_for(groups: int) -> int:
+    """Number of environments where none is given: 32 in each group, of which 32 say at least 89 %, but of 4 only 51 %.
+
+    At least 64, so that protocols with few groups are no less certain.
+    """
+    return max(64, 32 * groups)
+
+
 _Item = TypeVar("_Item")
 
 
@@ -49,6 +58,8 @@ class Protocol:
     """Whether the checkpoints are spread evenly over the training instead."""
     every_terrain: bool = False
     """Whether it is done on the terrain of every seed; other protocols use the first."""
+    intervals: tuple[str, ...] = ()
+    """Columns whose certainty has columns as well; see :meth:`interval_columns`."""
     commanded_speeds: int = 0
     """Number of speeds to command in place of ``frequencies``, evenly spread over those of the seed's own sweep."""
 
@@ -61,6 +72,18 @@ class Protocol:
     def groups(self) -> int:
         """Number of groups the environments are shared out among."""
         return self.commanded_speeds or len(self.frequencies)
+
+    @property
+    def interval_columns(self) -> tuple[str, ...]:
+        """How many environments a row is from, and the 95 % interval over them of each measure.
+
+        ``survived`` has its ends, the others half its width. Results of earlier versions lack these columns.
+        """
+        if not self.intervals:
+            return ()
+        halves = (f"{name}_ci95" for name in self.intervals if name != "survived")
+        ends = ("survived_low", "survived_high") if "survived" in self.intervals else ()
+        return ("environments", *halves, *ends)
 
     @property
     def turns_the_frequency(self) -> bool:
@@ -79,6 +102,8 @@ class Protocol:
         return [files[index] for index in even.round().astype(int)]
 
 
+_STEADY = ("speed_mps", "cost_of_transport", "symmetry_index", "flight_ratio", "falls_per_minute", "survived")
+
 SWEEP = Protocol(
     name="sweep",
     duration=20.0,
@@ -87,6 +112,7 @@ SWEEP = Protocol(
         *("method", "condition", "frequency_hz", "seed", "speed_mps", "cost_of_transport", "symmetry_index"),
         *("balance_index", "froude", "flight_ratio", "survived", "falls_per_minute", "reason"),
     ),
+    intervals=_STEADY,
 )
 """Measures of steady locomotion at each frequency (Fig. 3 a, b, d)."""
 
@@ -95,6 +121,7 @@ DISTURBANCE = Protocol(
     duration=60.0,
     frequencies=FREQUENCIES,
     columns=("method", "condition", "frequency_hz", "seed", "iteration", "speed_mps", "falls_per_minute", "reason"),
+    intervals=("falls_per_minute",),
     push_force=200.0,
     checkpoints=5,
 )
@@ -136,6 +163,7 @@ TERRAIN = Protocol(
         *("balance_index", "cost_of_transport", "flight_ratio", "survived", "falls_per_minute"),
         *("sole_penetration_m", "sole_hover_m", "reason"),
     ),
+    intervals=_STEADY,
     every_terrain=True,
 )
 """Walking and running on terrain that the controller has never seen (Fig. 5 b)."""

@@ -34,6 +34,7 @@ from aicpg_newton.evaluation.protocols import (
     TRANSITION,
     UP_AND_DOWN,
     Protocol,
+    environments_for,
 )
 from aicpg_newton.evaluation.summaries import Source
 from aicpg_newton.evaluation.trajectories import SHORTEST, WARM_UP, Trajectories, record
@@ -52,7 +53,8 @@ class Laboratory:
     """Where controllers are tested; engines are built once for each kind of physics, ground and motors.
 
     Args:
-        num_envs: Number of environments, shared out evenly among a protocol's groups.
+        num_envs: Number of environments, shared out evenly among a protocol's groups; None for as many as these ask
+            for.
         engine: ``newton``, ``mujoco`` or ``auto``.
         device: Torch device's name, or ``auto``.
         seed: Seed of start states and pushes.
@@ -60,7 +62,7 @@ class Laboratory:
         terrain_seeds: Seeds of the ground; on a plane they change nothing.
     """
 
-    num_envs: int
+    num_envs: int | None = None
     engine: str = "auto"
     device: str = "auto"
     seed: int = 0
@@ -72,11 +74,11 @@ class Laboratory:
         self._engines: list[Engine] = []
         self._worlds: list[Any] = []
 
-    def engine_of(self, task: Task) -> Engine:
-        """The engine with the task's physics and ground and its method's motors."""
-        world = (task.physics, task.ground, task.method)
+    def engine_of(self, task: Task, number: int) -> Engine:
+        """The engine with the task's physics and ground and its method's motors, for so many environments."""
+        world = (task.physics, task.ground, task.method, number)
         if world not in self._worlds:
-            self._engines.append(engine_for(task, self.engine, self.num_envs, self._device))
+            self._engines.append(engine_for(task, self.engine, number, self._device))
             self._worlds.append(copy.deepcopy(world))
         return self._engines[self._worlds.index(world)]
 
@@ -97,10 +99,11 @@ class Laboratory:
             content: Content of the checkpoint; None for no reflexes.
             terrain_seed: Seed of the ground, unless that is a plane.
         """
+        number = self.num_envs or environments_for(len(frequencies))
         task = on_terrain(controller.task.undisturbed(), terrain_seed)
         task.pushes = protocol.pushes()
         task.termination.episode_steps = protocol.steps + 1
-        environment = Environment(task, self.engine_of(task), controller.pattern, seed=self.seed)
+        environment = Environment(task, self.engine_of(task, number), controller.pattern, seed=self.seed)
         agent = no_action if content is None else load_policy(environment, content)
         label = f"{protocol.name:12}{controller.title}, iteration {0 if content is None else content['iteration']}"
         if protocol.every_terrain:
@@ -117,7 +120,6 @@ class Laboratory:
             "device": str(self._device),
             "gpu": gpu,
             "cpu_threads": torch.get_num_threads(),
-            "environments": self.num_envs,
             "seed": self.seed,
             "humanoid": fingerprint(),
             "versions": {
@@ -146,7 +148,7 @@ def check(protocols: Sequence[Protocol], controllers: Sequence[Controller], labo
     """
     most = max(protocols, key=lambda each: each.groups)
     needed = most.groups if any(controller.follows_frequency for controller in controllers) else 1
-    if laboratory.num_envs < needed:
+    if laboratory.num_envs is not None and laboratory.num_envs < needed:
         raise UserError(
             f"--num-envs is {laboratory.num_envs}, but the {most.name} protocol has {needed} groups;"
             " give at least one environment each"
@@ -277,7 +279,7 @@ def _one(
             trajectories = laboratory.test(protocol, frequencies, controller, content, first)
             rows, summary = summaries.speed_rows(trajectories, frequencies, speeds, source)
         else:
-            laboratory.engine_of(on_terrain(controller.task, first))  # the results name it
+            laboratory.engine_of(on_terrain(controller.task, first), 1)  # the results name it
             rows, summary = summaries.no_speeds(source)
     else:
         for terrain_seed in (first, *(others if protocol.every_terrain else ())):
@@ -287,7 +289,8 @@ def _one(
         if protocol.every_terrain:
             summary = terrain_summaries.over_terrains(rows)
     names = {"method": controller.method, "condition": controller.condition, "seed": controller.seed}
-    return rows, {**names, "iteration": iteration, **summary}
+    number = laboratory.num_envs or environments_for(len(frequencies))
+    return rows, {**names, "iteration": iteration, "environments": number, **summary}
 
 
 _READINGS: dict[str, Callable[[Trajectories, torch.Tensor, Source], tuple[list[results.Row], dict[str, Any]]]] = {

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from aicpg_newton.evaluation import metrics
+from aicpg_newton.evaluation import intervals, metrics
 from aicpg_newton.evaluation.protocols import SPEED
 from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.trajectories import SHORTEST, Trajectories, sole_clearance
-from aicpg_newton.robot.humanoid import CONTROL_RATE
+from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
 from aicpg_newton.robot.locomotion import froude_number
 
 
@@ -84,9 +84,22 @@ def sole_measures(trajectories: Trajectories) -> dict[str, torch.Tensor]:
     return {"sole_penetration_m": depth, "sole_hover_m": hover}
 
 
+def falls(fallen: torch.Tensor) -> Row:
+    """Falls per minute, and how certain that is, of some environments, shape [time, num_envs]."""
+    minutes = len(fallen) * CONTROL_DT / 60.0
+    return {
+        "falls_per_minute": mean(metrics.falls_per_minute(fallen)),
+        "falls_per_minute_ci95": intervals.half_width_of_rate(fallen.sum(dim=0).tolist(), minutes),
+        "environments": fallen.shape[1],
+    }
+
+
 def steady_row(trajectories: Trajectories, frequency: float, source: Source) -> Row:
     """All that is read off one group in steady locomotion, in the columns of any protocol."""
-    measures = {name: mean(values) for name, values in steady_measures(trajectories).items()}
+    each = steady_measures(trajectories)
+    measures = {name: mean(values) for name, values in each.items()}
+    stood = ~trajectories.fallen.any(dim=0)
+    low, high = intervals.of_share(int(stood.sum()), len(stood))
     speed = measures["speed_mps"]
     reasons = []
     if math.isnan(speed):
@@ -101,9 +114,12 @@ def steady_row(trajectories: Trajectories, frequency: float, source: Source) -> 
         **measures,
         **{name: mean(values) for name, values in sole_measures(trajectories).items()},
         "froude": float(froude_number(torch.tensor(speed))),
-        "survived": float((~trajectories.fallen.any(dim=0)).float().mean()),
-        "falls_per_minute": mean(metrics.falls_per_minute(trajectories.fallen)),
+        "survived": float(stood.float().mean()),
+        **falls(trajectories.fallen),
         "reason": "; ".join(reasons),
+        **{f"{name}_ci95": intervals.half_width(values.tolist()) for name, values in each.items()},
+        "survived_low": low,
+        "survived_high": high,
     }
 
 
@@ -136,7 +152,7 @@ def disturbance_rows(
                 **source.row(frequency),
                 "iteration": source.iteration,
                 "speed_mps": float(speed),
-                "falls_per_minute": mean(metrics.falls_per_minute(trajectories.fallen[:, mine])),
+                **falls(trajectories.fallen[:, mine]),
                 "reason": "no environment ever walked for more than a second" if math.isnan(float(speed)) else "",
             }
         )

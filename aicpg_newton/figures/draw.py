@@ -176,8 +176,9 @@ def _performance(sweep: list[Row], disturbance: list[Row]) -> Figure:
             axes.legend(fontsize="small")
     figure.supxlabel(
         "Curves: stride frequencies 0.70 to 1.40 Hz; single dots: controllers trained for one speed. Mean over seeds,"
-        " shaded: standard deviation;\nhollow: over half of the environments fell within 20 s. People: ¹ Ralston 1958,"
-        " ² Margaria et al. 1963 (metabolic: compare the shape,\nnot the height), ³ Thorstensson and Roberthson 1987.",
+        " shaded: standard deviation,\nof one seed the 95 % interval over its environments; hollow: over half of the"
+        " environments fell within 20 s. People: ¹ Ralston 1958,\n² Margaria et al. 1963 (metabolic: compare the shape,"
+        " not the height), ³ Thorstensson and Roberthson 1987.",
         fontsize="small",
     )
     return figure

@@ -42,12 +42,16 @@ _OTHERS = (
 
 @dataclass(frozen=True)
 class Points:
-    """A method's means over seeds and their standard deviations, one entry per frequency or condition."""
+    """A method's means over seeds and how far they spread, one entry per frequency or condition.
+
+    Spread is the standard deviation over seeds; of a single seed half the 95 % interval over its environments, or 0
+    where that is not known.
+    """
 
     x: np.ndarray
     y: np.ndarray
-    x_std: np.ndarray
-    y_std: np.ndarray
+    x_spread: np.ndarray
+    y_spread: np.ndarray
     survived: np.ndarray
     seeds: int
     curve: bool
@@ -79,7 +83,7 @@ def std(values: Iterable[float]) -> float:
 
 
 def over_seeds(rows: Iterable[Row], method: str, x: str, y: str) -> Points:
-    """Mean and standard deviation over seeds at each frequency or condition, where both ``x`` and ``y`` are known.
+    """Mean and spread over seeds at each frequency or condition, where both ``x`` and ``y`` are known.
 
     Several rows of one seed (its last checkpoints) are averaged first, so that every seed counts the same.
     """
@@ -96,7 +100,12 @@ def over_seeds(rows: Iterable[Row], method: str, x: str, y: str) -> Points:
         xs, ys, survived = (
             [mean(row.get(name, 1.0) for row in mine) for mine in per_seed] for name in (x, y, "survived")
         )
-        columns.append((mean(xs), mean(ys), std(xs), std(ys), mean(survived)))
+        spreads: tuple[float, ...] = (std(xs), std(ys))
+        if len(seeds) == 1:
+            only = next(iter(per_seed))
+            halves = [mean(row.get(f"{name}_ci95", math.nan) for row in only) for name in (x, y)]
+            spreads = tuple(half if math.isfinite(half) else 0.0 for half in halves)
+        columns.append((mean(xs), mean(ys), *spreads, mean(survived)))
     table = np.array(columns).reshape(-1, 5).T
     curve = not any(isinstance(told, str) for told in groups)
     return Points(table[0], table[1], table[2], table[3], table[4], len(seeds), curve)
@@ -124,28 +133,27 @@ def curves_over_time(rows: list[Row]) -> dict[str, tuple[np.ndarray, np.ndarray]
 
 
 def draw_points(axes: Axes, points: Points, style: Style, label: str) -> None:
-    """A method's points with standard deviations over seeds, as in the paper.
+    """A method's points with their spread: standard deviations over seeds as in the paper, or a seed's own interval.
 
     The frequencies of one controller make a curve with a band; controllers trained for different speeds are dots, each
-    with an ellipse as wide and high as the deviations to both sides. Where under half of the environments survived, the
+    with an ellipse as wide and high as the spread to both sides. Where under half of the environments survived, the
     marker is hollow and the curve leaves it out: such a point is made of the steps before a fall.
     """
     if not len(points.x):
         return
-    several = points.seeds > 1
-    label = f"{label} ({points.seeds} seed{'s' if several else ''})"
+    label = f"{label} ({points.seeds} seed{'s' if points.seeds > 1 else ''})"
     fell = points.survived < 0.5
     look = {"color": style.colour, "marker": style.marker, "zorder": 3}
     line = style.line if points.curve else "none"
     axes.plot(points.x[~fell], points.y[~fell], linestyle=line, label=label, **look)
     axes.plot(points.x[fell], points.y[fell], linestyle="none", markerfacecolor="white", **look)
     faint = {"color": style.colour, "alpha": 0.2, "linewidth": 0}
-    if several and points.curve:
-        low, high = points.y - points.y_std, points.y + points.y_std
+    if points.curve:
+        low, high = points.y - points.y_spread, points.y + points.y_spread
         axes.fill_between(points.x[~fell], low[~fell], high[~fell], **faint)
-    elif several:
-        for x, y, x_std, y_std in zip(points.x, points.y, points.x_std, points.y_std, strict=True):
-            axes.add_patch(Ellipse((float(x), float(y)), 2 * float(x_std), 2 * float(y_std), **faint))
+    else:
+        for x, y, width, height in zip(points.x, points.y, points.x_spread, points.y_spread, strict=True):
+            axes.add_patch(Ellipse((float(x), float(y)), 2 * float(width), 2 * float(height), **faint))
 
 
 def say_if_empty(axes: Axes, rows: Iterable[Row], y: str) -> None:

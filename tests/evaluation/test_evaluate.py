@@ -64,10 +64,12 @@ def test_the_cpg_alone_with_all_protocols(tmp_path: Path, capsys: pytest.Capture
             assert row["reason"] or all(value == value for value in row.values())
             assert row.get("condition", "") == ""
         assert content["engine"] == "mujoco" and content["device"] == "cpu" and content["seed"] == 2
-        assert content["environments"] == 6 and {"torch", "newton", "python"} <= set(content["versions"])
+        assert all(entry["environments"] == 6 for entry in content["results"])
+        assert {"torch", "newton", "python"} <= set(content["versions"])
     sweep = results.read_table(out, "sweep")
     assert [row["frequency_hz"] for row in sweep] == pytest.approx([0.7, 1.05, 1.4])
-    assert all(row["falls_per_minute"] > 0 for row in sweep)
+    assert all(row["falls_per_minute"] > 0 and row["environments"] == 2 for row in sweep)
+    assert all(row["survived_low"] == 0.0 and 0.5 < row["survived_high"] < 1.0 for row in sweep)
     drawn = {path.name: path.read_bytes() for path in out.glob("*.png")}
     assert "figure_3.png" in drawn and "figure_4_cpg_alone.png" in drawn and "Figure:" in capsys.readouterr().out
     main(EvaluateOptions(redraw=(out,), out=tmp_path / "again"))

@@ -32,7 +32,7 @@ def test_what_is_written_is_read(tmp_path: Path):
     write(folder, [row(speed_mps=1.23456789), row(cost_of_transport=math.nan, froude=None, reason="no motion; no way")])
     with (folder / "sweep.csv").open() as file:
         lines = list(csv.reader(file))
-    assert tuple(lines[0]) == SWEEP.columns and len(lines) == 3
+    assert tuple(lines[0]) == (*SWEEP.columns, *SWEEP.interval_columns) and len(lines) == 3
     assert lines[1][SWEEP.columns.index("speed_mps")] == "1.23457"
     assert lines[1][SWEEP.columns.index("seed")] == "1"
     assert lines[2][SWEEP.columns.index("cost_of_transport")] == ""
@@ -40,6 +40,19 @@ def test_what_is_written_is_read(tmp_path: Path):
     first, second = results.read_table(folder, "sweep")
     assert first["speed_mps"] == pytest.approx(1.23457) and first["reason"] == "" and first["method"] == "AI-CPG"
     assert math.isnan(second["froude"]) and second["reason"] == "no motion; no way"
+
+
+def test_intervals_have_columns_and_may_be_missing(tmp_path: Path):
+    """They are read where they are there; a table of an earlier version has none."""
+    write(tmp_path, [row(environments=32, speed_mps_ci95=0.02, survived_low=0.89)])
+    path = tmp_path / "sweep.csv"
+    (read,) = results.read_table(tmp_path, "sweep")
+    assert (read["environments"], read["speed_mps_ci95"], read["survived_low"]) == (32, 0.02, 0.89)
+    assert math.isnan(read["survived_high"])
+    cells = [line.split(",")[: len(SWEEP.columns)] for line in path.read_text().splitlines()]
+    path.write_text("\n".join(map(",".join, cells)) + "\n")
+    (read,) = results.read_table(tmp_path, "sweep")
+    assert read["speed_mps"] == 0.5 and math.isnan(read["speed_mps_ci95"])
 
 
 def test_json_is_strict(tmp_path: Path):

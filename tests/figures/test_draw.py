@@ -167,7 +167,7 @@ def test_baselines_join_the_panels(tmp_path: Path):
 
 
 def test_dots_are_means_over_the_seeds_of_a_condition():
-    """Two speeds of two seeds each: two points with deviations in x and y, and no curve."""
+    """Two speeds of two seeds each: two points with deviations in x and y, and no curve; of one seed its interval."""
     rows = [
         {
             "method": "PPO",
@@ -180,8 +180,11 @@ def test_dots_are_means_over_the_seeds_of_a_condition():
         for condition, seed, v in (("1.5", 0, 1.4), ("1.5", 1, 1.6), ("3.0", 0, 2.5), ("3.0", 1, 3.1))
     ]
     points = over_seeds(rows, "PPO", "speed_mps", "falls")
-    assert points.x.tolist() == pytest.approx([1.5, 2.8]) and points.x_std.tolist() == pytest.approx([0.1, 0.3])
-    assert points.y_std.tolist() == pytest.approx([1.0, 3.0]) and points.seeds == 2 and not points.curve
+    assert points.x.tolist() == pytest.approx([1.5, 2.8]) and points.x_spread.tolist() == pytest.approx([0.1, 0.3])
+    assert points.y_spread.tolist() == pytest.approx([1.0, 3.0]) and points.seeds == 2 and not points.curve
+    one = [{**row, "speed_mps_ci95": 0.05} for row in rows if row["seed"] == 0]
+    points = over_seeds(one, "PPO", "speed_mps", "falls")
+    assert points.x_spread.tolist() == [0.05, 0.05] and points.y_spread.tolist() == [0.0, 0.0]
 
 
 def test_fig_5_takes_the_condition_trained_for_the_papers_speed():
@@ -210,7 +213,7 @@ def test_means_over_seeds_weigh_every_seed_alike():
         for seed, falls in ((1, 1.0), (1, 3.0), (2, 6.0), (3, math.nan))
     ]
     points = over_seeds(rows, "A", "speed_mps", "falls_per_minute")
-    assert (points.x.tolist(), points.y.tolist(), points.y_std.tolist(), points.seeds) == ([2.0], [4.0], [2.0], 2)
+    assert (points.x.tolist(), points.y.tolist(), points.y_spread.tolist(), points.seeds) == ([2.0], [4.0], [2.0], 2)
 
 
 def test_methods_differ_without_colour():
