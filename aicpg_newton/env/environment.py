@@ -90,7 +90,7 @@ class Environment(VecEnv):
         self.cfg = to_dict(task)
         self.pattern = pattern.to(self.device)
         method = get_method(task.method)
-        self.motors = method.motors().to(self.device)
+        self.motors = task.motors().to(self.device)
         self._generator = torch.Generator(device=self.device).manual_seed(seed)
 
         n, zeros = self.num_envs, torch.zeros(self.num_envs, device=self.device)
@@ -417,7 +417,7 @@ _STATE = (
 
 
 def engine_for(task: Task, name: str, num_envs: int, device: torch.device | str) -> Engine:
-    """The engine with a task's physics and ground and its method's motors.
+    """The engine with a task's physics, ground and motors.
 
     Args:
         task: What is to be learned.
@@ -429,4 +429,4 @@ def engine_for(task: Task, name: str, num_envs: int, device: torch.device | str)
         UserError: As :func:`make_engine`, or a setting is out of its range.
     """
     task.validate()
-    return make_engine(name, num_envs, device, get_method(task.method).motors(), task.physics, task.ground)
+    return make_engine(name, num_envs, device, task.motors(), task.physics, task.ground)

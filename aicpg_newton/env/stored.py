@@ -109,7 +109,7 @@ def _refuse_unknown(content: Any, names: set[str], title: str, source: str) -> N
 def brought_up_to_date(content: dict[str, Any]) -> dict[str, Any]:
     """Content as an earlier version of this package wrote it, in today's words.
 
-    Learning settings that were not settings once take what was done then; a reward term has its weight and parameters
+    Settings that were not settings once take what was done then; a reward term has its weight and parameters
     beside it; settings of other methods, which every task used to have, are left out.
     """
     content = dict(content)
@@ -131,6 +131,10 @@ def brought_up_to_date(content: dict[str, Any]) -> dict[str, Any]:
             if content.get("method", "ai-cpg") not in methods:
                 content.pop(name, None)
         content["rewards"] = terms
+    if content.get("method") == "amp":
+        content.setdefault("drives", "pattern")
+        if isinstance(content.get("imitation"), dict):
+            content["imitation"] = {"loss": "least_squares", **content["imitation"]}
     if isinstance(content.get("learning"), dict):
         content["learning"] = {**_BEFORE, **learning}
     return content

@@ -21,6 +21,7 @@ from aicpg_newton.env.rewards import RewardTerm, common_terms
 from aicpg_newton.env.view import View
 from aicpg_newton.errors import UserError
 from aicpg_newton.ranges import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, SHARE, Range, check_ranges
+from aicpg_newton.robot import humanoid
 from aicpg_newton.robot.humanoid import CONTROL_RATE
 
 MAXIMUM_LAYERS = 16
@@ -203,15 +204,17 @@ class Learning:
 class Imitation:
     """The discriminator of the AMP baseline (Peng et al. 2021).
 
-    Network, penalties and scale are those published for this humanoid in Isaac Gym, for 4096 environments. Learning
-    rate, batch and replay were tried with 256, and grow with the number of environments where they are not given: see
-    :meth:`for_environments`.
+    Network, loss, penalties and scale are those published for this humanoid in Isaac Gym, for 4096 environments.
+    Learning rate, batch and replay were tried with 256, and grow with the number of environments where they are not
+    given: see :meth:`for_environments`.
     """
 
+    loss: Literal["cross_entropy", "least_squares"] = "cross_entropy"
+    """What it learns, and with that the reward: logarithms as in Isaac Gym, or squares as in Peng et al. (Eq. 6-7)."""
     discriminator_hidden_sizes: Annotated[tuple[int, ...], LAYER] = (1024, 512)
     """Its hidden layers."""
     discriminator_learning_rate: Annotated[float | None, POSITIVE] = None
-    """Its learning rate; 1e-5 with 256 environments up to 4e-5 with 4096 when not given. Published: 5e-5."""
+    """Its learning rate; 3e-5 with 256 environments up to the published 5e-5 with 712 and more when not given."""
     discriminator_batch: Annotated[int | None, AT_LEAST_ONE] = None
     """Pairs of states drawn for each of its updates, as many as PPO's, from the reference, from this iteration and from
     the replay buffer, each; as many as environments, from 256 to 4096, when not given. Published: 4096."""
@@ -227,7 +230,8 @@ class Imitation:
     replay_keep: Annotated[float, SHARE] = 0.01
     """Share of an iteration's pairs that goes into a replay buffer that is full."""
     style_reward_scale: Annotated[float, NOT_NEGATIVE] = 2.0
-    """The style reward lies between 0 and this."""
+    """Factor of the style reward. With cross-entropy it is 1.39 where the discriminator cannot tell, and 18.4 at most;
+    with least squares this is the most."""
     style_reward_weight: Annotated[float, NOT_NEGATIVE] = 0.1
     """Weight of the style reward in the whole reward. Published: 1, with normalised values."""
     task_reward_weight: Annotated[float, NOT_NEGATIVE] = 0.0
@@ -236,13 +240,13 @@ class Imitation:
     def for_environments(self, number: int) -> Imitation:
         """What is left open, for so many environments: the one place where the rule stands.
 
-        Batch and replay buffer are proportional to the number of environments, and the learning rate to its square
-        root, as the noise of a gradient falls with it. Below 256, what these numbers were tried with, and above 4096,
-        where the batch is the published one, nothing changes any more.
+        Batch and replay buffer are proportional to the number of environments, and the learning rate, up to the
+        published one, to its square root, as the noise of a gradient falls with it. Below 256, what these numbers were
+        tried with, and above 4096, where the batch is the published one, nothing changes any more.
         """
         times = min(max(number / 256, 1.0), 16.0)
         rule = {
-            "discriminator_learning_rate": 1e-5 * math.sqrt(times),
+            "discriminator_learning_rate": min(3e-5 * math.sqrt(times), 5e-5),
             "discriminator_batch": round(256 * times),
             "replay_size": round(10_000 * times),
         }
@@ -281,6 +285,10 @@ class Task:
     def for_environments(self, number: int) -> Self:
         """The same task, with the settings that are left open chosen for so many environments."""
         return self
+
+    def motors(self) -> humanoid.Motors:
+        """Gains, limits, damping and armature of the joints."""
+        return humanoid.motors()
 
     def undisturbed(self) -> Self:
         """The same task where nobody pushes and f stays as it is told: for tests and play."""
@@ -360,6 +368,10 @@ class SpeedTask(ReflexTask):
         told = super().commands(num_envs, device)
         return replace(told, speed=torch.full((num_envs,), self.target_speed, device=device))
 
+    def motors(self) -> humanoid.Motors:
+        """See :meth:`Task.motors`: as sources of torque."""
+        return humanoid.torque_motors()
+
     def idle(self) -> dict[str, str]:
         """See :meth:`Task.idle`: a speed is told, and robots start standing."""
         return {
@@ -375,11 +387,17 @@ class ImitationTask(Task):
 
     reference: Literal["walk", "run"] = "walk"
     """Gait that is imitated."""
+    drives: Literal["damped", "pattern"] = "damped"
+    """Gains of the PD law that follows the network's targets: well damped, as published with AMP, or a CPG's."""
     imitation: Imitation = field(default_factory=Imitation)
 
     def for_environments(self, number: int) -> Self:
         """See :meth:`Task.for_environments` and :meth:`Imitation.for_environments`."""
         return replace(self, imitation=self.imitation.for_environments(number))
+
+    def motors(self) -> humanoid.Motors:
+        """See :meth:`Task.motors` and :attr:`drives`."""
+        return humanoid.target_motors() if self.drives == "damped" else humanoid.motors()
 
     def idle(self) -> dict[str, str]:
         """See :meth:`Task.idle`: the reference sets frequency and speed, and by default all of the reward."""

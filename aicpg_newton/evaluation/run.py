@@ -75,8 +75,9 @@ class Laboratory:
         self._worlds: list[Any] = []
 
     def engine_of(self, task: Task, number: int) -> Engine:
-        """The engine with the task's physics and ground and its method's motors, for so many environments."""
-        world = (task.physics, task.ground, task.method, number)
+        """The engine with the task's physics, ground and motors, for so many environments."""
+        motors = [values.tolist() for values in vars(task.motors()).values()]
+        world = (task.physics, task.ground, motors, number)
         if world not in self._worlds:
             self._engines.append(engine_for(task, self.engine, number, self._device))
             self._worlds.append(copy.deepcopy(world))

@@ -81,7 +81,7 @@ class Controller(nn.Module):
                 " only AI-CPG networks can be exported"
             )
         task = trained.task.undisturbed()
-        self.engine = MujocoEngine(1, "cpu", method.motors(), task.physics)
+        self.engine = MujocoEngine(1, "cpu", task.motors(), task.physics)
         """One robot on a plane; only the network's sizes and the stock model are taken from it."""
         environment = Environment(task, self.engine, trained.pattern)
         self.task = task

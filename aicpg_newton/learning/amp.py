@@ -2,7 +2,7 @@
 
 A discriminator learns to tell the policy's motion from a reference gait, and the policy is paid for passing as the
 reference. Defaults are those published for this humanoid (Isaac Gym examples, HumanoidAMPPPO) where nothing else is
-said; the loss and the reward are the paper's.
+said; which loss and reward, a setting says.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rsl_rl.utils import reduce_gradients_in_buckets
 from tensordict import TensorDict
 
 from aicpg_newton.env.style import reference_motion
-from aicpg_newton.learning.discriminator import Discriminator, least_squares, reward_of, squared_gradient
+from aicpg_newton.learning.discriminator import LOSSES, Discriminator, squared_gradient
 from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.replay import ReplayBuffer
 
@@ -47,7 +47,7 @@ class AdversarialMotionPriors(BoundedPPO):
         critic: Value network.
         storage: Rollouts; their observations hold the group :data:`STYLE`.
         reference: Pairs of reference states one control step apart, shape [samples, 2, N].
-        discriminator_hidden_sizes: As all up to ``task_reward_weight``, see :class:`aicpg_newton.env.task.Imitation`.
+        loss: As all up to ``task_reward_weight``, see :class:`aicpg_newton.env.task.Imitation`.
         device: Device of all networks.
         **ppo: Settings of :class:`aicpg_newton.learning.ppo.BoundedPPO`.
     """
@@ -59,6 +59,7 @@ class AdversarialMotionPriors(BoundedPPO):
         storage: RolloutStorage,
         *,
         reference: torch.Tensor,
+        loss: str,
         discriminator_hidden_sizes: tuple[int, ...],
         discriminator_learning_rate: float,
         discriminator_batch: int,
@@ -75,6 +76,7 @@ class AdversarialMotionPriors(BoundedPPO):
     ) -> None:
         super().__init__(actor, critic, storage, device=device, **ppo)
         self.reference = reference.to(device)
+        self._loss, self._reward = LOSSES[loss]
         state_size = self.reference.shape[-1]
         self.discriminator = Discriminator(state_size, discriminator_hidden_sizes).to(device)
         self.discriminator.normaliser.update(self.reference[:, 0])
@@ -136,7 +138,7 @@ class AdversarialMotionPriors(BoundedPPO):
     @torch.no_grad()
     def style_reward(self, pairs: torch.Tensor) -> torch.Tensor:
         """Reward for pairs of style states one control step apart, shape [batch, 2, N] to [batch]."""
-        return self.style_reward_scale * reward_of(self.discriminator(pairs))
+        return self.style_reward_scale * self._reward(self.discriminator(pairs))
 
     def update(self) -> dict[str, float]:
         """Update policy and value on the collected steps, then the discriminator as many times.
@@ -168,7 +170,7 @@ class AdversarialMotionPriors(BoundedPPO):
             policy_score = network(torch.cat((self._draw(pairs, batch), self._draw(past, batch))))
             penalty = squared_gradient(reference_score, inputs)
             loss = (
-                least_squares(reference_score, policy_score)
+                self._loss(reference_score, policy_score)
                 + self.gradient_penalty * penalty
                 + self.logit_regularisation * network.last.weight.square().sum()
                 + self.weight_decay * torch.stack([weight.square().sum() for weight in network.weights()]).sum()

@@ -86,6 +86,19 @@ JOINT_GROUPS = {
     "ankle": JointGroup(position_gain=250, velocity_gain=1, torque_limit=120, damping=2.0, armature=0.01),
 }
 
+TARGET_GAINS = {
+    "abdomen": (600.0, 60.0),
+    "neck": (50.0, 5.0),
+    "shoulder": (200.0, 20.0),
+    "elbow": (150.0, 15.0),
+    "hip": (300.0, 30.0),
+    "knee": (300.0, 30.0),
+    "ankle": (200.0, 20.0),
+}
+"""Kp [N m/rad], Kd [N m s/rad] of drives that follow targets given by a network, as published with AMP for this kind of
+humanoid (Isaac Gym examples). With the Kd of :data:`JOINT_GROUPS` a joint rings for longer than a control step, and the
+network has to damp it 60 times a second; a CPG's targets come with their rate, a network's do not."""
+
 JOINT_NAMES = (
     "abdomen_x", "abdomen_y", "abdomen_z",
     "neck_x", "neck_y", "neck_z",
@@ -159,6 +172,15 @@ def motors(groups: dict[str, JointGroup] | None = None) -> Motors:
     return Motors(
         **{field.name: torch.tensor([float(getattr(row, field.name)) for row in rows]) for field in fields(JointGroup)}
     )
+
+
+def target_motors() -> Motors:
+    """Motors of a method that gives target angles alone: see :data:`TARGET_GAINS`."""
+    table = {
+        name: replace(group, position_gain=TARGET_GAINS[name][0], velocity_gain=TARGET_GAINS[name][1])
+        for name, group in JOINT_GROUPS.items()
+    }
+    return motors(table)
 
 
 def torque_motors() -> Motors:

@@ -8,9 +8,9 @@ import torch
 
 from aicpg_newton.engines import make_engine
 from aicpg_newton.env.environment import Environment
-from aicpg_newton.env.methods import METHODS, get_method
+from aicpg_newton.env.methods import METHODS
 from aicpg_newton.env.registry import TASKS, get_task
-from aicpg_newton.env.task import Task
+from aicpg_newton.env.task import ImitationTask, Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.robot import humanoid, mirror
 from aicpg_newton.robot.humanoid import JOINT_NAMES, NUM_JOINTS, joint_index
@@ -40,7 +40,7 @@ def test_only_ai_cpg_sees_the_cpg(make, method: str, size: int):
 def test_without_a_pd_law_the_joints_get_the_networks_torques_alone(engine: str):
     """Whatever the joint angles; and no more than the limit."""
     limit = humanoid.motors().torque_limit
-    motors = get_method("ppo").motors()
+    motors = get_task("flat", "ppo").motors()
     assert torch.equal(motors.torque_limit, limit)
     robots = make_engine(engine, 2, "cpu", motors, get_task("flat").physics)
     torque = 0.3 * limit * torch.linspace(-1, 1, NUM_JOINTS).repeat(2, 1)
@@ -109,7 +109,7 @@ def test_amp_remembers_the_torque_it_asked_for(make):
     position, velocity = environment.engine.state.joint_position, environment.engine.state.joint_velocity
     actions = 0.1 * torch.randn(4, NUM_JOINTS)
     environment.step(actions)
-    motors = humanoid.motors()
+    motors = environment.task.motors()
     target = environment.engine.calls[-1]["target"]
     asked = motors.position_gain * (target - position) - motors.velocity_gain * velocity
     assert torch.allclose(
@@ -152,8 +152,20 @@ def test_settings_that_differ_between_methods():
         assert set(task.rewards) - set(plain.rewards) == own[name]
         assert all(task.rewards[each] == term for each, term in plain.rewards.items())
     assert get_task("flat", "ppo").learning == get_task("flat").learning == plain.learning
-    learning = get_task("flat", "amp").learning
-    assert math.log(learning.initial_std) == pytest.approx(-2.9, abs=0.01)
-    rates = ("learning_rate", "learning_rate_schedule", "epochs", "minibatches")
-    names = ("initial_std", "learn_std", "network", "symmetry", *rates)
-    assert replace(learning, **{name: getattr(plain.learning, name) for name in names}) == plain.learning
+    assert get_task("flat", "amp").learning == replace(plain.learning, initial_std=0.1)
+
+
+def test_motors_that_differ_between_methods():
+    """The paper's with a CPG; torques alone; targets alone, well damped, or as with a CPG where that is asked for."""
+    paper, torques, targets = (get_task("flat", name).motors() for name in METHODS)
+    assert paper.velocity_gain.tolist() == [1.0] * NUM_JOINTS and torques.velocity_gain.tolist() == [0.0] * NUM_JOINTS
+    torch.testing.assert_close(targets.velocity_gain, 0.1 * targets.position_gain)
+    knee = joint_index("left_knee")
+    assert (targets.position_gain[knee], targets.torque_limit[knee]) == (300.0, paper.torque_limit[knee])
+    for name in ("torque_limit", "damping", "armature"):
+        assert torch.equal(getattr(paper, name), getattr(targets, name))
+        assert torch.equal(getattr(paper, name), getattr(torques, name))
+    task = get_task("flat", "amp")
+    assert isinstance(task, ImitationTask)
+    task.drives = "pattern"
+    assert torch.equal(task.motors().position_gain, paper.position_gain)

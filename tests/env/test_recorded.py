@@ -35,7 +35,7 @@ def test_recorded_states_look_and_pay_as_before(name: str):
         ground_height=terrain.height(state.root_position),
         commands=Commands(recorded["frequency"], recorded["heading"], speed),
         terrain=terrain,
-        motors=method.motors(),
+        motors=task.motors(),
         torque=recorded["torque"],
         target=recorded["target"],
         target_velocity=recorded["target_velocity"],

@@ -128,3 +128,5 @@ def test_shipped_checkpoints_keep_their_settings(path):
     if isinstance(task, ImitationTask):
         assert task.reference == content["reference"]
         assert task.imitation.replay_size == content["imitation"]["replay_size"]
+        assert task.drives == content.get("drives", "pattern")
+        assert task.imitation.loss == content["imitation"].get("loss", "least_squares")

@@ -116,7 +116,6 @@ def test_every_number_states_its_range():
         ("ppo", "resets.maximum_speed", 0.7, "start standing"),
         ("amp", "frequencies.maximum", 1.6, "reference sets the gait"),
         ("amp", "rewards.upright.weight", 2.0, "imitation.task_reward_weight is 0"),
-        ("amp", "learning.desired_kl", 0.1, "schedule is fixed"),
     ],
 )
 def test_settings_that_do_nothing_are_refused(method: str, path: str, value: object, why: str):
@@ -135,10 +134,19 @@ def test_settings_that_do_nothing_are_refused(method: str, path: str, value: obj
         task.frequencies.change_interval = 4.0
     task.pushes.force = 100.0
     task.learning.network = "mlp"
-    task.learning.learning_rate_schedule = "iteration"
     if method == "amp":
         task.imitation.task_reward_weight = 1.0  # type: ignore[attr-defined]
     if parents[0] not in ("frequencies", "resets") or method == "ai-cpg":
+        task.refuse_idle_changes(default)
+
+
+def test_a_fixed_learning_rate_is_adapted_to_nothing():
+    """A divergence to adapt it to does nothing then."""
+    task, default = get_task("flat"), get_task("flat")
+    for each in (task, default):
+        each.learning.learning_rate_schedule = "fixed"
+    task.learning.desired_kl = 0.1
+    with pytest.raises(UserError, match="learning.desired_kl was changed, but does nothing: .*is fixed"):
         task.refuse_idle_changes(default)
 
 
@@ -191,11 +199,11 @@ def test_every_setting_has_a_help_text():
 @pytest.mark.parametrize(
     ("number", "expected"),
     [
-        (64, (1e-5, 256, 10_000)),
-        (256, (1e-5, 256, 10_000)),
-        (1024, (2e-5, 1024, 40_000)),
-        (4096, (4e-5, 4096, 160_000)),
-        (32768, (4e-5, 4096, 160_000)),
+        (64, (3e-5, 256, 10_000)),
+        (256, (3e-5, 256, 10_000)),
+        (1024, (5e-5, 1024, 40_000)),
+        (4096, (5e-5, 4096, 160_000)),
+        (32768, (5e-5, 4096, 160_000)),
     ],
 )
 def test_the_discriminators_settings_follow_the_number_of_environments(number: int, expected: tuple):

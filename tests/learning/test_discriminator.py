@@ -1,9 +1,19 @@
 """Losses of the discriminator by hand, and that it learns."""
 
+import math
+
 import pytest
 import torch
 
-from aicpg_newton.learning.discriminator import Discriminator, least_squares, reward_of, squared_gradient
+from aicpg_newton.learning.discriminator import (
+    LOSSES,
+    Discriminator,
+    cross_entropy,
+    cross_entropy_reward,
+    least_squares,
+    least_squares_reward,
+    squared_gradient,
+)
 
 
 def test_reference_is_plus_one_and_policy_minus_one():
@@ -16,8 +26,33 @@ def test_reference_is_plus_one_and_policy_minus_one():
 
 def test_reward_of_a_score():
     """Eq. 7 at a few scores: nothing at -1 and below, and less beyond +1."""
-    rewards = reward_of(torch.tensor([-3.0, -1.0, 0.0, 1.0, 2.0])).tolist()
+    rewards = least_squares_reward(torch.tensor([-3.0, -1.0, 0.0, 1.0, 2.0])).tolist()
     assert rewards == [0.0, 0.0, 0.75, 1.0, 0.75]
+
+
+def test_cross_entropy():
+    """By its formula with logarithms; the two exchanged cost far more, and it has no limit that it reaches."""
+    reference, policy = torch.tensor([2.0, -1.0]), torch.tensor([-3.0, 0.5])
+    expected = -(torch.sigmoid(reference).log().mean() + (1 - torch.sigmoid(policy)).log().mean()) / 2
+    assert cross_entropy(reference, policy).item() == pytest.approx(expected.item(), rel=1e-6)
+    assert cross_entropy(policy, reference) > cross_entropy(reference, policy)
+    assert cross_entropy(torch.full((3,), 5.0), torch.full((3,), -5.0)) > 0
+
+
+def test_cross_entropy_reward_is_flat_nowhere_but_at_its_top():
+    """-log(1 - s(D)): log 2 in doubt, 9.2 at most, and more for a greater score even where that is far below zero."""
+    score = torch.tensor([-8.0, -4.0, -2.0, 0.0, 4.0, 9.0, 20.0])
+    rewards = cross_entropy_reward(score)
+    by_hand = -torch.log((1 - torch.sigmoid(score.double())).clamp_min(1e-4)).float()
+    torch.testing.assert_close(rewards, by_hand, rtol=1e-5, atol=1e-7)
+    assert rewards[3].item() == pytest.approx(math.log(2)) and rewards[-1].item() == pytest.approx(9.2103, abs=1e-3)
+    assert (rewards.diff()[:-1] > 0).all()
+
+
+def test_a_loss_goes_with_its_reward():
+    """Those that were published together."""
+    assert LOSSES["cross_entropy"] == (cross_entropy, cross_entropy_reward)
+    assert LOSSES["least_squares"] == (least_squares, least_squares_reward)
 
 
 def test_squared_gradient_of_a_linear_network():
