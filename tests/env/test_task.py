@@ -146,7 +146,7 @@ def test_a_fixed_learning_rate_is_adapted_to_nothing():
     for each in (task, default):
         each.learning.learning_rate_schedule = "fixed"
     task.learning.desired_kl = 0.1
-    with pytest.raises(UserError, match="learning.desired_kl was changed, but does nothing: .*is fixed"):
+    with pytest.raises(UserError, match=r"learning.desired_kl was changed, but does nothing: .*is fixed"):
         task.refuse_idle_changes(default)
 
 
