@@ -13,12 +13,19 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import torch
 import tyro
 
-from aicpg_newton.device import finish, resolve_device, resolve_learner_device, torch_threads, waits_for_cores
+from aicpg_newton.device import (
+    finish,
+    resolve_device,
+    resolve_learner_device,
+    torch_threads,
+    waits_for_cores,
+    worth_compiling,
+)
 from aicpg_newton.engines import ENGINES, Engine, engine_name
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.methods import on_task
@@ -57,6 +64,8 @@ class BenchmarkOptions(Generic[_Settings]):
     """Time to measure each rate for [s]."""
     iterations: Annotated[int, NOT_NEGATIVE] = 8
     """Learning iterations to time; 0 leaves learning out."""
+    compile: Literal["auto", "on", "off"] = "auto"
+    """As for train.py."""
     learner_device: str | None = None
     """Device of the networks beside physics on the CPU (engine mujoco): cuda:N or mps."""
     time_to_walk: bool = False
@@ -103,7 +112,8 @@ def measure(
     """Measure one engine with one number of environments, walking with the CPG and a small random reflex."""
     began = time.perf_counter()
     engine = engine_for(task, name, num_envs, device)
-    environment = Environment(task, engine, PatternNetwork.load())
+    compiled = worth_compiling(options.compile, device)
+    environment = Environment(task, engine, PatternNetwork.load(), compiled=compiled)
     actions = 0.4 * torch.randn(num_envs, environment.num_actions, device=device)
     environment.step(actions)
     finish(device)

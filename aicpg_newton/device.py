@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import torch
 
 from aicpg_newton import launcher
 from aicpg_newton.errors import UserError
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def resolve_device(name: str) -> torch.device:
@@ -101,6 +105,20 @@ def waits_for_cores() -> dict[str, float]:
 def reading_is_free(device: torch.device | str) -> bool:
     """Whether a number on a device can be looked at without waiting for the device: on a CPU it can."""
     return torch.device(device).type == "cpu"
+
+
+def worth_compiling(choice: str, device: torch.device) -> bool:
+    """Whether to compile what stands around the physics: ``on``, ``off``, or ``auto``: on a GPU with Triton."""
+    return choice == "on" or (choice == "auto" and device.type == "cuda" and find_spec("triton") is not None)
+
+
+def compiled_kernels(function: _Function) -> _Function:
+    """The same function as a few kernels; refused where it would wait for the device or leave the graph.
+
+    Concatenations become one kernel each, whatever is concatenated: the other way is a kernel for every part.
+    """
+    options: dict[str, Any] = {"force_pointwise_cat": True, "max_pointwise_cat_inputs": 64}
+    return cast(_Function, torch.compile(function, fullgraph=True, dynamic=False, options=options))
 
 
 def finish(device: torch.device | str) -> None:

@@ -55,6 +55,9 @@ class PuppetEngine:
         changed = {name: torch.where(rows, value, getattr(self.state, name)) for name, value in vars(start).items()}
         self.state = replace(self.state, **changed)
 
+    def compile(self) -> None:
+        """There is nothing to compile."""
+
     def overflows(self) -> int:
         """Never."""
         return 0

@@ -132,6 +132,10 @@ class Engine(Protocol):
         """
         ...
 
+    def compile(self) -> None:
+        """Make a few kernels of the torch operations around the physics, with a compiler on the machine."""
+        ...
+
     @property
     def overflowed(self) -> torch.Tensor:
         """Environments that ran out of contact or constraint buffers in the last step, bool, shape [num_envs]."""

@@ -226,6 +226,9 @@ class MujocoEngine:
         self._foot_wrench.masked_fill_(mask[:, None, None], 0.0)
         self.state = self._read()
 
+    def compile(self) -> None:
+        """See :meth:`Engine.compile`: numpy does the work here, and there is no device to launch it on."""
+
     def _read_sensors(self) -> None:
         """Motor torque of the last physics step and each foot's wrench about its frame's origin, mean over all."""
         feet = self._readings[..., : 2 * _FOOT_READINGS].reshape(self.num_envs, self.physics.substeps, 2, 4, 3)

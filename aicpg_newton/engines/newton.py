@@ -11,6 +11,7 @@ import torch
 import warp as wp
 from mujoco_warp import OverflowType
 
+from aicpg_newton.device import compiled_kernels
 from aicpg_newton.engines import kernels
 from aicpg_newton.engines.interface import BodyState, Physics, RobotState, take_over
 from aicpg_newton.engines.model import ROOT_COORDINATES, ROOT_DOFS, build, make_solver
@@ -84,6 +85,11 @@ class NewtonEngine:
             newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
         self.state = self._read()
 
+    def compile(self) -> None:
+        """See :meth:`Engine.compile`."""
+        for name in ("_tell", "_measure", "_place", "_read"):
+            setattr(self, name, compiled_kernels(getattr(self, name)))
+
     def _make_collisions(self, cell: float) -> newton.CollisionPipeline:
         """Newton's own collision detection, for uneven ground of cells of this size [m].
 
@@ -103,6 +109,7 @@ class NewtonEngine:
 
     def _map_layout(self, joints: tuple[int, ...], links: tuple[int, ...], foot_shapes: tuple[int, ...]) -> None:
         hinges = torch.tensor(joints, device=self.device)
+        self._own_order = hinges.argsort()  # from the package's order to the model's, whose joints follow the root
         self._coordinates = ROOT_COORDINATES + hinges
         self._dofs = ROOT_DOFS + hinges
         self._pelvis, self._torso, self._head = (links[LINK_NAMES.index(name)] for name in ("pelvis", "torso", "head"))
@@ -217,28 +224,45 @@ class NewtonEngine:
         push: torch.Tensor | None = None,
     ) -> None:
         """See :meth:`Engine.step`. A torque on top of the PD law is a shift of its position target by tau_r / Kp."""
-        self._target_q[:, self._coordinates] = target + torque / self._position_gain
-        self._target_qd[:, self._dofs] = target_velocity
-        for body_f in self._body_f:
-            body_f.zero_()
-            if push is not None:
-                body_f[:, self._torso, :3] = push
+        self._tell(target, target_velocity, torque, push)
         if self._graph is not None:
             wp.capture_launch(self._graph)
         else:
             self._substeps()
-        self._ever_overflowed |= self.overflowed
-        self.state = self._read()
+        self.state = self._measure()
+
+    def _tell(
+        self, target: torch.Tensor, target_velocity: torch.Tensor, torque: torch.Tensor, push: torch.Tensor | None
+    ) -> None:
+        """Put what a step was given where the physics reads it."""
+        shifted = target + torque / self._position_gain
+        self._target_q[:, ROOT_COORDINATES:] = shifted[:, self._own_order]
+        self._target_qd[:, ROOT_DOFS:] = target_velocity[:, self._own_order]
+        for body_f in self._body_f:
+            body_f.zero_()
+            if push is not None:
+                body_f[:, self._torso, :3] = push
+
+    def _measure(self) -> RobotState:
+        """The state after a step; whether a buffer was full is kept."""
+        self._ever_overflowed = self._ever_overflowed | self.overflowed
+        return self._read()
 
     def reset(self, mask: torch.Tensor, start: BodyState) -> None:
-        """See :meth:`Engine.reset`. Newton's free joint carries the velocity of the pelvis's centre of mass."""
+        """See :meth:`Engine.reset`."""
+        self._place(mask, start)
+        state = self._states[0]
+        self.solver.reset(state, self._reset_worlds, flags=0)
+        newton.eval_fk(self.model, state.joint_q, state.joint_qd, state, mask=self._reset_robots)
+        self.state = self._read()
+
+    def _place(self, mask: torch.Tensor, start: BodyState) -> None:
+        """Put masked robots where they start; Newton's free joint carries the velocity of the centre of mass."""
         com = rotations.rotate(start.root_rotation, self._pelvis_com)
         com_velocity = start.root_linear_velocity + torch.linalg.cross(start.root_angular_velocity, com)
-        joint_q, joint_qd = torch.empty_like(self._joint_q), torch.empty_like(self._joint_qd)
-        joint_q[:, :ROOT_COORDINATES] = torch.cat((start.root_position, start.root_rotation), dim=1)
-        joint_q[:, self._coordinates] = start.joint_position
-        joint_qd[:, :ROOT_DOFS] = torch.cat((com_velocity, start.root_angular_velocity), dim=1)
-        joint_qd[:, self._dofs] = start.joint_velocity
+        hinges, rates = (each[:, self._own_order] for each in (start.joint_position, start.joint_velocity))
+        joint_q = torch.cat((start.root_position, start.root_rotation, hinges), dim=1)
+        joint_qd = torch.cat((com_velocity, start.root_angular_velocity, rates), dim=1)
         rows = mask.unsqueeze(1)
         self._joint_q.copy_(torch.where(rows, joint_q, self._joint_q))
         self._joint_qd.copy_(torch.where(rows, joint_qd, self._joint_qd))
@@ -246,28 +270,31 @@ class NewtonEngine:
         self._foot_wrench.masked_fill_(rows.unsqueeze(2), 0.0)
         self._world_mask[:-1] = mask
         self._robot_mask.copy_(mask)
-        state = self._states[0]
-        self.solver.reset(state, self._reset_worlds, flags=0)
-        newton.eval_fk(self.model, state.joint_q, state.joint_qd, state, mask=self._reset_robots)
-        self.state = self._read()
 
     def _read(self) -> RobotState:
-        rotation = self._joint_q[:, 3:ROOT_COORDINATES].clone()
-        angular_velocity = self._joint_qd[:, 3:ROOT_DOFS].clone()
+        """The state as parts of one new tensor, which is one copy where it would be ten."""
+        rotation = self._joint_q[:, 3:ROOT_COORDINATES]
+        angular_velocity = self._joint_qd[:, 3:ROOT_DOFS]
         com = rotations.rotate(rotation, self._pelvis_com)
         head = self._body_q[:, self._head]
-        return RobotState(
-            root_position=self._joint_q[:, :3].clone(),
-            root_rotation=rotation,
-            root_linear_velocity=self._joint_qd[:, :3] - torch.linalg.cross(angular_velocity, com),
-            root_angular_velocity=angular_velocity,
-            joint_position=self._joint_q[:, self._coordinates],
-            joint_velocity=self._joint_qd[:, self._dofs],
-            joint_torque=self._torque[:, self._dofs],
-            head_position=head[:, :3] + rotations.rotate(head[:, 3:], self._head_centre),
-            foot_force=self._foot_wrench[..., :3].clone(),
-            foot_moment=self._foot_wrench[..., 3:].clone(),
-        )
+        wrench = self._foot_wrench
+        parts = {
+            "root_position": self._joint_q[:, :3],
+            "root_rotation": rotation,
+            "root_linear_velocity": self._joint_qd[:, :3] - torch.linalg.cross(angular_velocity, com),
+            "root_angular_velocity": angular_velocity,
+            "joint_position": self._joint_q[:, self._coordinates],
+            "joint_velocity": self._joint_qd[:, self._dofs],
+            "joint_torque": self._torque[:, self._dofs],
+            "head_position": head[:, :3] + rotations.rotate(head[:, 3:], self._head_centre),
+            "foot_force": wrench[..., :3].flatten(1),
+            "foot_moment": wrench[..., 3:].flatten(1),
+        }
+        copies = torch.cat(list(parts.values()), dim=1).split([part.shape[1] for part in parts.values()], dim=1)
+        state = dict(zip(parts, copies, strict=True))
+        for name in ("foot_force", "foot_moment"):
+            state[name] = state[name].unflatten(1, (2, 3))
+        return RobotState(**state)
 
     def high_water(self) -> dict[str, float]:
         """Fullest buffers so far: constraints of any one environment, and contacts per environment over all of them."""

@@ -60,16 +60,19 @@ class FrequencyChanges:
         """Go on from :meth:`state_dict`."""
         self._target, self._step = state["target"], state["step"]
 
-    def next(self, frequency: torch.Tensor, begun: torch.Tensor) -> torch.Tensor:
+    def draw(self, number: int) -> torch.Tensor:
+        """Random numbers of a step for so many robots, for :meth:`next`, shape [4, number]."""
+        return torch.rand(4, number, generator=self._generator, device=self._generator.device)
+
+    def next(self, frequency: torch.Tensor, begun: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
         """Stride frequencies of the next step [Hz]; :meth:`begin` comes first.
 
         Args:
             frequency: Those of this step [Hz], shape [num_envs].
             begun: Robots whose episode has just begun and that keep their frequency for now, bool, shape [num_envs].
+            drawn: From :meth:`draw`, shape [4, num_envs].
         """
-        chance, where, how_fast, at_once = torch.rand(
-            4, len(frequency), generator=self._generator, device=frequency.device
-        )
+        chance, where, how_fast, at_once = drawn.unbind(0)
         due = (chance < self._due) & ~begun
         rate = self._rate * (0.2 + 0.8 * how_fast)
         step = torch.where(at_once < self._jumps, self._span, CONTROL_DT * rate)

@@ -11,8 +11,9 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch.utils._pytree import tree_map
 
-from aicpg_newton.device import reading_is_free
-from aicpg_newton.engines import Engine, RobotState, make_engine
+from aicpg_newton.device import compiled_kernels, reading_is_free
+from aicpg_newton.engines import BodyState, Engine, RobotState, make_engine
+from aicpg_newton.env.actuation import MotorCommand
 from aicpg_newton.env.commands import Commands, FrequencyChanges
 from aicpg_newton.env.faults import BadStates, FaultCount, cause_of
 from aicpg_newton.env.methods import get_method
@@ -68,6 +69,9 @@ class Environment(VecEnv):
         seed: Seed of start states, places and pushes.
         rank: Number of this process among those that train together.
         processes: Number of these. Commands are dealt to their robots in turn, so that each has the whole range.
+        compiled: Let :func:`torch.compile` make a few kernels of what stands between two steps of the physics. It takes
+            a minute at the start and a compiler on the machine; on a GPU launching hundreds of kernels takes longer
+            than the physics.
     """
 
     def __init__(
@@ -79,6 +83,7 @@ class Environment(VecEnv):
         seed: int = 0,
         rank: int = 0,
         processes: int = 1,
+        compiled: bool = False,
     ) -> None:
         task.validate()
         self.task = task = task.for_environments(engine.num_envs)
@@ -129,11 +134,26 @@ class Environment(VecEnv):
         """Simulations that went wrong."""
         self.bad_states: BadStates | None = None
         """Keeps what they began from, where one is put here; every step is then copied before it is taken."""
-        self._episode_means: dict[str, torch.Tensor] = {}
+        self._logged = (
+            *(f"Episode_Reward/{name}" for name in self._terms),
+            *(f"Episode_End/{name}" for name in ("fallen", "diverged", "off_course")),
+        )
+        self._episode_means = torch.zeros(len(self._logged), device=self.device)
         # Not episode_length_buf: the runner starts that at random numbers to spread the first time-outs.
         self._episode_steps = zeros.clone()
-        self._episode_rewards: dict[str, torch.Tensor] = {}
-        self.restart(self.commands.frequency)
+        self._episode_rewards = torch.zeros(len(self._terms), n, device=self.device)
+        self._compiled = compiled
+        if compiled:
+            engine.compile()
+            for name in _COMPILED:
+                setattr(self, name, compiled_kernels(getattr(self, name)))
+        try:
+            self.restart(self.commands.frequency)
+        except Exception as error:  # a compiler that is not there, or does not work, raises many types
+            if not compiled or isinstance(error, UserError):
+                raise
+            reason = (str(error) or type(error).__name__).strip().splitlines()[0]
+            raise UserError(f"torch.compile does not work here ({reason}); give --compile off") from error
 
     @torch.no_grad()
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
@@ -149,34 +169,62 @@ class Environment(VecEnv):
         Raises:
             UserError: On a CPU, as :meth:`check`.
         """
-        self._sound = self._sound & torch.isfinite(actions).all()
+        command = self._ask(actions)
         if reading_is_free(self.device):
             self.check()
-        command, push = self.actuation.command(actions, self.engine.state), self._pushes()
+        push = self._pushes()
         before = None if self.bad_states is None else self.engine.snapshot()
         self.engine.step(*command, push=push)
-        self.phase = advance_phase(self.phase, self.commands.frequency)
-        self.actuation.follow(self.phase, self.commands)
-        self.episode_length_buf += 1
-        self._seen = None
-        self.outcome = self._judge()
-        self.faults.note(self.outcome.fault)
+        changes = None if self._changes is None else self._changes.draw(self.num_envs)
+        levels = self._uniform(0.0, self.task.ground.levels) if self.task.ground.levels > 1 else None
+        reward, dones, log = self._settle(changes, levels)
         if self.bad_states is not None and before is not None:
             given = {"action": actions, **command._asdict(), **({} if push is None else {"push": push})}
             self.bad_states.note(self.outcome.fault, {**before, **given})
-        reward = torch.stack(list(self.outcome.reward_terms.values())).sum(dim=0)
-        failed = self.outcome.fallen | self.outcome.off_course
-        dones = failed | self.outcome.timed_out
-        if self._changes is not None:
-            now = torch.where(dones, self._own_frequency, self.commands.frequency)
-            self.command(frequency=self._changes.next(now, dones))
-        self._obey()
-        self._episode_steps += 1
-        self._move_between_levels(failed, self.outcome.timed_out)
-        extras = {"time_outs": self.outcome.timed_out, "log": self._log(dones)}
+        extras = {"time_outs": self.outcome.timed_out, "log": log}
         self.reset(dones)
         self._starts.grow_old(self.commands.frequency if self._changes is None else self._own_frequency)
         return self.get_observations(), reward, dones.to(torch.long), extras
+
+    def _ask(self, actions: torch.Tensor) -> MotorCommand:
+        """What the engine is told; whether all actions were numbers is kept."""
+        self._sound = self._sound & torch.isfinite(actions).all()
+        return self.actuation.command(actions, self.engine.state)
+
+    def _settle(
+        self, changes: torch.Tensor | None, levels: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
+        """All that follows from a step of the physics, before any robot begins anew.
+
+        Args:
+            changes: From :meth:`FrequencyChanges.draw`, where frequencies change.
+            levels: Levels for robots that have done with all, where there are several, shape [num_envs].
+
+        Returns:
+            Rewards and whether the episode ended, each of shape [num_envs], and the log.
+        """
+        self.phase = advance_phase(self.phase, self.commands.frequency)
+        self.actuation.follow(self.phase, self.commands)
+        self.episode_length_buf = self.episode_length_buf + 1
+        self._seen = None
+        self.outcome = self._judge()
+        self.faults.note(self.outcome.fault)
+        rewards = torch.stack(list(self.outcome.reward_terms.values()))
+        failed = self.outcome.fallen | self.outcome.off_course
+        dones = failed | self.outcome.timed_out
+        if self._changes is not None:
+            assert changes is not None
+            now = torch.where(dones, self._own_frequency, self.commands.frequency)
+            self.command(frequency=self._changes.next(now, dones, changes))
+        self._obey()
+        self._episode_steps = self._episode_steps + 1
+        if levels is not None:
+            self._move_between_levels(failed, self.outcome.timed_out, levels.long())
+        self._episode_rewards = self._episode_rewards + rewards
+        log = self._log(dones)
+        if self._compiled:
+            self._seen = None  # what it has derived stays within the kernels
+        return rewards.sum(dim=0), dones, log
 
     def check(self) -> None:
         """Look whether all actions so far were numbers. On a GPU this waits for it: once an iteration is enough.
@@ -266,46 +314,39 @@ class Environment(VecEnv):
         """Whether a look that costs no waiting shows that no environment is in the mask: its work can be left out."""
         return reading_is_free(self.device) and not bool(mask.any())
 
-    def _move_between_levels(self, failed: torch.Tensor, lasted: torch.Tensor) -> None:
+    def _move_between_levels(self, failed: torch.Tensor, lasted: torch.Tensor, anywhere: torch.Tensor) -> None:
         """Curriculum: robots that lasted half an episode or more go on to rougher ground, robots that failed go back.
 
         Those that lasted on the roughest begin anywhere, so that none is forgotten. A robot may come to the edge early,
         and the runner begins with episodes that are nearly over.
         """
-        levels = self.task.ground.levels
-        if levels == 1:
-            return
         long = self._episode_steps >= 0.5 * self.max_episode_length
         level = self.level + (lasted & long).long() - failed.long()
-        self.level = torch.where(level < levels, level.clamp_min(0), self._uniform(0.0, levels).long())
+        self.level = torch.where(level < self.task.ground.levels, level.clamp_min(0), anywhere)
 
     def _log(self, dones: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Episode means of the reward terms where an episode ended, and the speed of the slow and the fast third."""
-        for name, term in self.outcome.reward_terms.items():
-            self._episode_rewards[name] = self._episode_rewards.get(name, 0.0) + term
-        if not self._seen_to_be_none(dones):
+        """Episode means of the reward terms where an episode ended, and the speed at slow and at fast frequencies."""
+        if self._compiled or not self._seen_to_be_none(dones):
             self._note_ended(dones)
-        log = dict(self._episode_means)
+        log = dict(zip(self._logged, self._episode_means.unbind(0), strict=True))
         speed = self.outcome.state.root_linear_velocity[:, 0].masked_fill(self.outcome.diverged, 0.0)
         if self.task.ground.levels > 1:
             log["Curriculum/level"] = self.level.float().mean()
-        frequency, third = self.outcome.commands.frequency, max(1, self.num_envs // 3)
-        by_frequency = speed[frequency.argsort(stable=True)]
-        log["Speed/lowest_third_of_f"] = by_frequency[:third].mean()
-        log["Speed/highest_third_of_f"] = by_frequency[-third:].mean()
+        told, frequency = self.task.frequencies, self.outcome.commands.frequency
+        third = (told.maximum - told.minimum) / 3.0
+        log["Speed/lowest_third_of_f"] = _mean_of(speed, frequency <= told.minimum + third)
+        log["Speed/highest_third_of_f"] = _mean_of(speed, frequency >= told.maximum - third)
         return log
 
     def _note_ended(self, dones: torch.Tensor) -> None:
         """Means over the episodes that have just ended; where there are none, the last ones stay."""
-        ended = {f"Episode_Reward/{name}": total / self._episode_steps for name, total in self._episode_rewards.items()}
-        ended["Episode_End/fallen"] = self.outcome.fallen.float()
-        ended["Episode_End/diverged"] = self.outcome.diverged.float()
-        ended["Episode_End/off_course"] = self.outcome.off_course.float()
+        outcome = self.outcome
+        ends = torch.stack((outcome.fallen, outcome.diverged, outcome.off_course)).float()
+        ended = torch.cat((self._episode_rewards / self._episode_steps, ends))
         number = dones.sum()
-        for name, values in ended.items():
-            mean = values.masked_fill(~dones, 0.0).sum() / number.clamp_min(1)
-            self._episode_means[name] = torch.where(number > 0, mean, self._episode_means.get(name, mean))
-        self._episode_rewards = {name: each.masked_fill(dones, 0.0) for name, each in self._episode_rewards.items()}
+        means = ended.masked_fill(~dones, 0.0).sum(dim=1) / number.clamp_min(1)
+        self._episode_means = torch.where(number > 0, means, self._episode_means)
+        self._episode_rewards = self._episode_rewards.masked_fill(dones, 0.0)
         self._episode_steps = self._episode_steps.masked_fill(dones, 0.0)
 
     def get_observations(self) -> TensorDict:
@@ -313,11 +354,18 @@ class Environment(VecEnv):
 
         Where a discriminator judges the style, also under ``style``, shape [num_envs, 81].
         """
-        view = self._view()
-        seen = {"policy": observe(self.blocks, view)}
+        seen = {"policy": self._observe()}
         if self.actuation.style_blocks:
+            view = self._view()
             seen["style"] = observe(self.actuation.style_blocks, StyleView(view.state, view.ground_height))
         return TensorDict(seen, batch_size=[self.num_envs], device=self.device)
+
+    def _observe(self) -> torch.Tensor:
+        """What the network sees, shape [num_envs, size]."""
+        seen = observe(self.blocks, self._view())
+        if self._compiled:
+            self._seen = None
+        return seen
 
     def restart(self, frequency: torch.Tensor) -> None:
         """Start new episodes in all environments, at these stride frequencies [Hz], shape [num_envs]."""
@@ -338,12 +386,16 @@ class Environment(VecEnv):
         """
         if self._seen_to_be_none(mask):
             return
+        self.engine.reset(mask, self._begin(mask))
+        self._seen = None
+
+    def _begin(self, mask: torch.Tensor) -> BodyState:
+        """Phase, target and memory of the masked environments' new episodes; where all robots would start."""
         self.phase = torch.where(mask, self._starts.phase, self.phase)
         self.actuation.follow(self.phase, self.commands)
-        self.engine.reset(mask, self._starts.states(self.level))
         self.actuation.forget(mask)
-        self._seen = None
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
+        return self._starts.states(self.level)
 
     def state_dict(self) -> dict[str, Any]:
         """Copies of all that coming steps depend on, between two steps: robots, commands, random numbers, means."""
@@ -400,6 +452,15 @@ class Environment(VecEnv):
         """Random numbers in [low, high), shape [num_envs]."""
         return low + (high - low) * torch.rand(self.num_envs, generator=self._generator, device=self.device)
 
+
+def _mean_of(values: torch.Tensor, among: torch.Tensor) -> torch.Tensor:
+    """Mean of the values in a mask, both of shape [num_envs]; 0 where it holds none."""
+    return values.masked_fill(~among, 0.0).sum() / among.sum().clamp_min(1)
+
+
+_COMPILED = ("_ask", "_settle", "_begin", "_observe")
+"""What stands between two steps of the physics. A discriminator's observations are left as they are: the constants of
+their kinematics are kept in caches that :func:`torch.compile` looks behind."""
 
 _STATE = (
     "phase",

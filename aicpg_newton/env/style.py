@@ -9,13 +9,13 @@ state has 105 numbers, as it gives each three-hinge joint as tangent and normal.
 from __future__ import annotations
 
 import math
-from functools import cache, cached_property
+from functools import cache
 
 import torch
 
 from aicpg_newton.engines.interface import BodyState
 from aicpg_newton.env.observations import Block, observe
-from aicpg_newton.env.view import BodyView
+from aicpg_newton.env.view import BodyView, derived
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.gait.poses import gait_pose
 from aicpg_newton.robot import rotations
@@ -27,7 +27,7 @@ from aicpg_newton.robot.mirror import AXIAL, EVEN, JOINTS, VECTOR, VECTORS_OF_SI
 class StyleView(BodyView):
     """Bodies at an instant, with what the blocks below share."""
 
-    @cached_property
+    @derived
     def tilt(self) -> torch.Tensor:
         """Pelvis rotation in the heading frame (x, y, z, w), shape [..., 4]."""
         return rotations.multiply(self.to_heading, self.state.root_rotation)
@@ -41,7 +41,7 @@ class StyleView(BodyView):
         """A vector of the world in the heading frame, shape [..., 3]."""
         return rotations.rotate(self.to_heading, world)
 
-    @cached_property
+    @derived
     def hands_and_feet(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Positions of hands and of ankles from the pelvis, in the heading frame [m], each of shape [..., 2, 3]."""
         origin = torch.zeros_like(self.state.root_position)

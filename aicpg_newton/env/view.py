@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any, Generic, Self, TypeVar, overload
 
 import torch
 
@@ -12,6 +13,31 @@ from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.env.commands import Commands
 from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import BODY_WEIGHT, FOOT_LEVER, Motors
+
+_Value = TypeVar("_Value")
+
+
+class derived(Generic[_Value]):
+    """A property that is computed when first asked for, and once.
+
+    :func:`functools.cached_property` holds a lock in Python 3.11, which :func:`torch.compile` cannot see through.
+    """
+
+    def __init__(self, function: Callable[[Any], _Value]) -> None:
+        self._function = function
+        self._name = function.__name__
+        self.__doc__ = function.__doc__
+
+    @overload
+    def __get__(self, owner: None, kind: type | None = None) -> Self: ...
+    @overload
+    def __get__(self, owner: object, kind: type | None = None) -> _Value: ...
+    def __get__(self, owner: object | None, kind: type | None = None) -> Any:
+        """The value, from the owner's own dictionary after the first time."""
+        if owner is None:
+            return self
+        value = vars(owner)[self._name] = self._function(owner)
+        return value
 
 
 @dataclass
@@ -28,17 +54,17 @@ class BodyView:
         """Height of the pelvis above the ground [m], shape [...]."""
         return self.state.root_position[..., 2] - self.ground_height
 
-    @cached_property
+    @derived
     def roll_pitch_yaw(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Angles of the pelvis [rad], each of shape [...]."""
         return rotations.roll_pitch_yaw(self.state.root_rotation)
 
-    @cached_property
+    @derived
     def to_heading(self) -> torch.Tensor:
         """Rotation (x, y, z, w) from the world to it turned by the pelvis's yaw, the heading frame; shape [..., 4]."""
         return rotations.about_z(-self.roll_pitch_yaw[2])
 
-    @cached_property
+    @derived
     def up(self) -> torch.Tensor:
         """z_global . z_pelvis, shape [...]: 1 when the pelvis is upright, 0 when it lies."""
         return rotations.up_axis(self.state.root_rotation)[..., 2]
@@ -67,19 +93,19 @@ class View(BodyView):
         """World height of the ground below points [m], shape [num_envs, 3] to [num_envs]."""
         return self.ground_height if self.terrain is None else self.terrain.height(point)
 
-    @cached_property
+    @derived
     def direction(self) -> torch.Tensor:
         """Target direction, a horizontal unit vector in the world, shape [num_envs, 2]."""
         heading = self.commands.heading
         return torch.stack((torch.cos(heading), torch.sin(heading)), dim=1)
 
-    @cached_property
+    @derived
     def angle_to_target(self) -> torch.Tensor:
         """From where the pelvis faces to the target direction, within half a turn [rad], shape [num_envs]."""
         _, _, yaw = self.roll_pitch_yaw
         return torch.remainder(self.commands.heading - yaw + torch.pi, 2 * torch.pi) - torch.pi
 
-    @cached_property
+    @derived
     def in_heading_frame(self) -> torch.Tensor:
         """Vectors in the heading frame, shape [num_envs, 18], three numbers each.
 

@@ -18,7 +18,7 @@ import torch
 import yaml
 
 from aicpg_newton import places
-from aicpg_newton.device import resolve_device, resolve_learner_device
+from aicpg_newton.device import resolve_device, resolve_learner_device, worth_compiling
 from aicpg_newton.engines import engine_name
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.faults import BadStates
@@ -74,6 +74,8 @@ class RunOptions:
     """At every checkpoint let 16 other robots walk and run on a CPU for 4 s: curves of who stands, speed and flight."""
     film_every: Annotated[int, Range(0, 1_000_000)] = 5
     """Film a walk and a run at every so many of these checkpoints, into films/ in the run folder; 0 never."""
+    compile: Literal["auto", "on", "off"] = "auto"
+    """Make a few kernels of what stands around the physics, with a compiler, in a minute or two; auto: on a GPU."""
     dump_bad_states: bool = False
     """Write what a simulation that goes wrong began from into the run folder: bad_states_<iteration>.pt, at most 256
     robots. Every step is copied for that."""
@@ -198,7 +200,8 @@ def _train_in(folder: Path, task: Task, options: RunOptions, plan: _Plan) -> Pat
     torch.manual_seed(seed)
     print("Building the simulation; the first time on a machine, compiling its kernels can take two minutes.")
     engine = engine_for(task, options.engine, plan.num_envs, plan.device)
-    environment = Environment(task, engine, plan.pattern, seed=seed, rank=rank, processes=processes)
+    compiled = worth_compiling(options.compile, plan.device)
+    environment = Environment(task, engine, plan.pattern, seed=seed, rank=rank, processes=processes, compiled=compiled)
     if options.dump_bad_states and rank == 0:
         environment.bad_states = BadStates(plan.num_envs, environment.device)
     number = f"{plan.num_envs} environments" + (f" in each of {processes} processes" if processes > 1 else "")

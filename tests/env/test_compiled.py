@@ -1,0 +1,109 @@
+"""What stands around the physics as a few compiled kernels does what it does step by step."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+import torch._inductor.metrics as inductor
+
+from aicpg_newton import device
+from aicpg_newton.engines import make_engine
+from aicpg_newton.engines.interface import BodyState
+from aicpg_newton.env import environment as module
+from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.registry import get_task
+from aicpg_newton.errors import UserError
+from aicpg_newton.gait.cpg import PatternNetwork
+
+pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler on a CPU")
+
+NUM_ENVS = 8
+
+
+@pytest.fixture(autouse=True)
+def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Kernels that are counted are compiled here, not found in a cache."""
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    torch._dynamo.reset()
+    yield
+    torch._dynamo.reset()
+
+
+def pair(task, name: str, pattern: PatternNetwork) -> tuple[Environment, Environment]:
+    """The same environment plain and compiled."""
+    plain, compiled = (
+        Environment(task, engine_for(task, name, NUM_ENVS, "cpu"), pattern, seed=3, compiled=each)
+        for each in (False, True)
+    )
+    return plain, compiled
+
+
+def assert_same_steps(plain: Environment, compiled: Environment, steps: int = 24) -> None:
+    """The compiled one takes up the plain one's state before each step, as physics makes much of rounding."""
+    for step in range(steps):
+        compiled.load_state_dict(plain.state_dict())
+        actions = 0.3 * torch.randn(NUM_ENVS, 28, generator=torch.Generator().manual_seed(step))
+        if step == steps // 2:  # some fall
+            state = plain.engine.state
+            low = {each: getattr(state, each).clone() for each in BodyState.__dataclass_fields__}
+            low["root_position"][:3, 2] -= 2.0
+            for each in (plain, compiled):
+                each.engine.reset(torch.arange(NUM_ENVS) < 3, BodyState(**low))
+        expected, found = plain.step(actions), compiled.step(actions)
+        for name in ("policy",):
+            torch.testing.assert_close(found[0][name], expected[0][name], atol=2e-3, rtol=1e-3)
+        torch.testing.assert_close(found[1], expected[1], atol=1e-5, rtol=1e-4)
+        assert torch.equal(found[2], expected[2]) and torch.equal(found[3]["time_outs"], expected[3]["time_outs"])
+        assert found[2].sum() >= 3 * (step == steps // 2)
+        for name, value in expected[3]["log"].items():
+            torch.testing.assert_close(found[3]["log"][name], value, atol=1e-4, rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_compiled_steps_are_the_plain_ones(pattern: PatternNetwork):
+    """AI-CPG on a plane, with falls; compiled whole, or it would be refused; at most 65 kernels with Newton."""
+    before = inductor.generated_kernel_count
+    plain, compiled = pair(get_task("flat"), "newton", pattern)
+    for _ in range(2):
+        compiled.step(torch.zeros(NUM_ENVS, 28))
+    kernels = inductor.generated_kernel_count - before
+    print(f"{kernels} kernels a step and reset")
+    assert 20 < kernels <= 65
+    assert_same_steps(plain, compiled)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "method"), [("robust", "ai-cpg"), ("uneven", "amp"), ("flat", "ppo")])
+def test_all_methods_and_grounds(name: str, method: str, pattern: PatternNetwork):
+    """Terrain, levels, pushes and frequencies that change; targets of a network; torques alone."""
+    task = get_task(name, method)
+    if task.ground.uneven:
+        task.ground.length, task.ground.width = 24.0, 16.0 * task.ground.levels
+    assert_same_steps(*pair(task, "mujoco", pattern))
+
+
+def test_on_a_gpu_unless_told_otherwise(monkeypatch: pytest.MonkeyPatch):
+    """Where launching kernels takes longer than they do, if there is what compiles them."""
+    gpu, cpu = torch.device("cuda:0"), torch.device("cpu")
+    monkeypatch.setattr(device, "find_spec", lambda name: name)
+    assert device.worth_compiling("auto", gpu) and not device.worth_compiling("auto", cpu)
+    assert device.worth_compiling("on", cpu) and not device.worth_compiling("off", gpu)
+    monkeypatch.setattr(device, "find_spec", lambda name: None)
+    assert not device.worth_compiling("auto", gpu)
+
+
+def test_no_compiler(monkeypatch: pytest.MonkeyPatch, pattern: PatternNetwork):
+    """One sentence that says what to do."""
+
+    def broken(function):
+        def fail(*_):
+            raise RuntimeError("no working C++ compiler found\nand a long story")
+
+        return fail
+
+    task = get_task("flat")
+    monkeypatch.setattr(module, "compiled_kernels", broken)
+    engine = make_engine("mujoco", 2, "cpu", task.motors(), task.physics)
+    with pytest.raises(UserError, match=r"does not work here \(no working C\+\+ compiler found\); give --compile off"):
+        Environment(task, engine, pattern, compiled=True)
