@@ -21,7 +21,7 @@ from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.tensor_files import read_tensors
 
-FORMAT = 1
+FORMAT = 2
 
 _NAME = re.compile(r"state_(\d+)\.pt")
 _SAME = {"num_envs": "the number of environments", "engine": "the engine", "device": "the device"}
