@@ -125,6 +125,7 @@ def compare(options: CompareOptions) -> bool:
             " environment each"
         )
     began = time.monotonic()
+    at_first = sum(training.iterations() for training in everything)
     for training in everything:
         left = None if options.max_minutes is None else options.max_minutes - (time.monotonic() - began) / 60
         if left is not None and left <= 0.0:
@@ -132,13 +133,12 @@ def compare(options: CompareOptions) -> bool:
         results.make_folder(options.out)
         with only_one(options.out / f".{training.folder.name}.lock") as mine:
             if mine:
+                print(progress(everything, options.max_iterations, at_first, time.monotonic() - began))
                 _train(training, options, left)
             else:
                 print(f"{training.folder.name} is being trained by another job; left to it.")
-    iterations = [training.iterations() for training in everything]
-    for training, done in zip(everything, iterations, strict=True):
-        print(f"{training.folder.name:32}{done:6d} of {options.max_iterations} iterations")
-    if min(iterations) < options.max_iterations:
+    print(progress(everything, options.max_iterations, at_first, time.monotonic() - began))
+    if any(training.iterations() < options.max_iterations for training in everything):
         print("Not all are finished: give the same command again. The evaluation comes when they are.")
         return False
     with only_one(options.out / ".evaluation.lock") as mine:
@@ -146,6 +146,27 @@ def compare(options: CompareOptions) -> bool:
             print("All are finished; another job is evaluating them.")
             return True
         return _evaluate(everything, options)
+
+
+def progress(everything: Sequence[Training], wanted: int, at_first: int, seconds: float) -> str:
+    """What is done of each training, a row each, and how long the rest takes at the rate so far.
+
+    Args:
+        everything: All trainings.
+        wanted: Iterations of each.
+        at_first: Iterations that were done of all of them together when this job began.
+        seconds: Time since then [s].
+    """
+    done = [training.iterations() for training in everything]
+    lines = [
+        f"{training.folder.name:32}{number:6d} of {wanted} iterations"
+        for training, number in zip(everything, done, strict=True)
+    ]
+    left, new = sum(max(0, wanted - number) for number in done), sum(done) - at_first
+    if left and new > 0:
+        minutes = round(left * seconds / new / 60)
+        lines.append(f"{left} iterations are left: about {minutes // 60} h {minutes % 60} min at the rate of this job.")
+    return "\n".join(lines)
 
 
 def _train(training: Training, options: CompareOptions, left: float | None) -> None:
