@@ -58,7 +58,8 @@ def main(options: Options) -> None:
         [engine, task, *memory(task, engine, options, device)] for engine in options.engines for task in options.tasks
     ]
     totals = [f"{number} [GB]" for number in options.extrapolate]
-    print_table(["engine", "task", "fixed [MB]", "physics [kB]", "environment [kB]", "learning [kB]", *totals], rows)
+    head = ["engine", "task", "fixed [MB]", "physics [kB]", "environment [kB]", "learning [kB]", "update [kB]", *totals]
+    print_table(head, rows)
     if options.buffer_seconds > 0.0:
         print()
         rows = [row for task in options.tasks for row in buffers(task, options, device)]
@@ -75,8 +76,8 @@ def memory(task: str, engine: str, options: Options, device: torch.device) -> li
     return [f"{fixed / 1e6:.0f}", *(f"{size / 1e3:.1f}" for size in each), *totals]
 
 
-def _parts(task: str, engine_name: str, num_envs: int, device: torch.device) -> tuple[int, int, int]:
-    """Bytes in the arrays of physics, environment and learning, after a step and before an update."""
+def _parts(task: str, engine_name: str, num_envs: int, device: torch.device) -> tuple[int, int, int, int]:
+    """Bytes in the arrays of physics, environment and learning after a step, and of what an update keeps at most."""
     chosen = get_task(task)
     nothing = _arrays()
     engine = engine_for(chosen, engine_name, num_envs, device)
@@ -88,8 +89,33 @@ def _parts(task: str, engine_name: str, num_envs: int, device: torch.device) -> 
     with contextlib.redirect_stdout(io.StringIO()):
         runner = Runner(environment, {"seed": 0})
     learning = _arrays(own)
-    del runner  # it has to be there until here
-    return physics - nothing, around - physics, learning - around
+    return physics - nothing, around - physics, learning - around, _kept_by_an_update(runner)
+
+
+def _kept_by_an_update(runner: Runner) -> int:
+    """Bytes that back-propagation keeps of a minibatch until its gradients are there; the largest minibatch counts."""
+    collected = runner.alg
+    observed = runner.env.get_observations().to(runner.device)
+    for _ in range(runner.cfg["num_steps_per_env"]):
+        with torch.inference_mode():
+            observed, rewards, dones, extras = runner.env.step(collected.act(observed))
+            collected.process_env_step(observed, rewards, dones, extras)
+    with torch.inference_mode():
+        collected.compute_returns(observed)
+    kept: dict[int, int] = {}
+    most = 0
+
+    def keep(tensor: torch.Tensor) -> torch.Tensor:
+        nonlocal most
+        kept[tensor.untyped_storage().data_ptr()] = tensor.untyped_storage().nbytes()
+        most = max(most, sum(kept.values()))
+        return tensor
+
+    forgetting = collected.optimizer.register_step_post_hook(lambda *_: kept.clear())
+    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        collected.update()
+    forgetting.remove()
+    return most
 
 
 def _arrays(of_numpy: Iterable[np.ndarray] = ()) -> int:

@@ -21,9 +21,11 @@ def test_memory_and_buffers():
     result = call("--tasks", "flat", "--num-envs", "2", "4", "--buffer-envs", "2", "--buffer-seconds", "0.1")
     assert result.returncode == 0, result.stderr
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in result.stdout.splitlines() if "|" in line]
-    sizes = {row[0]: [float(cell) for cell in row[3:6]] for row in rows if row[0] in ("newton", "mujoco")}
+    sizes = {row[0]: [float(cell) for cell in row[3:7]] for row in rows if row[0] in ("newton", "mujoco")}
     assert 100 < sizes["newton"][0] < 1000 and 1 < sizes["mujoco"][0] < 100
     assert min(min(row) for row in sizes.values()) >= 0.0
+    # Four samples a robot, of each at least its observation and six hidden layers before and after ReLU.
+    assert 4 * 4 * (192 + 2 * 896) / 1e3 < sizes["newton"][3] < 200
     marks = {row[1]: row[2:] for row in rows if row[0] == "flat"}
     for title in ("trained", "random actions", "lying"):
         mean, most, constraints, overflows = map(float, marks[title])
