@@ -18,7 +18,7 @@ def call(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.slow
 def test_memory_and_buffers():
     """Sizes are of the right order and never negative; robots have contacts, and none is lost."""
-    result = call("--tasks", "flat", "--num-envs", "2", "4", "--buffer-envs", "2", "--buffer-seconds", "0.1")
+    result = call("--tasks", "flat", "--num-envs", "8", "32", "--buffer-envs", "2", "--buffer-seconds", "0.1")
     assert result.returncode == 0, result.stderr
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in result.stdout.splitlines() if "|" in line]
     sizes = {row[0]: [float(cell) for cell in row[3:7]] for row in rows if row[0] in ("newton", "mujoco")}
