@@ -13,12 +13,13 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 import torch
 import tyro
 
 from aicpg_newton.device import (
+    Compile,
     finish,
     resolve_device,
     resolve_learner_device,
@@ -64,7 +65,7 @@ class BenchmarkOptions(Generic[_Settings]):
     """Time to measure each rate for [s]."""
     iterations: Annotated[int, NOT_NEGATIVE] = 8
     """Learning iterations to time; 0 leaves learning out."""
-    compile: Literal["auto", "on", "off"] = "auto"
+    compile: Compile = "auto"
     """As for train.py."""
     learner_device: str | None = None
     """Device of the networks beside physics on the CPU (engine mujoco): cuda:N or mps."""

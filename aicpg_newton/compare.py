@@ -125,20 +125,27 @@ def compare(options: CompareOptions) -> bool:
             " environment each"
         )
     began = time.monotonic()
-    at_first = sum(training.iterations() for training in everything)
-    for training in everything:
+    done = [training.iterations() for training in everything]
+    at_first = sum(done)
+
+    def show() -> None:
+        print(progress(everything, done, options.max_iterations, at_first, time.monotonic() - began))
+
+    for index, training in enumerate(everything):
         left = None if options.max_minutes is None else options.max_minutes - (time.monotonic() - began) / 60
         if left is not None and left <= 0.0:
             break
         results.make_folder(options.out)
         with only_one(options.out / f".{training.folder.name}.lock") as mine:
             if mine:
-                print(progress(everything, options.max_iterations, at_first, time.monotonic() - began))
+                show()
                 _train(training, options, left)
+                done[index] = training.iterations()
             else:
                 print(f"{training.folder.name} is being trained by another job; left to it.")
-    print(progress(everything, options.max_iterations, at_first, time.monotonic() - began))
-    if any(training.iterations() < options.max_iterations for training in everything):
+    done = [training.iterations() for training in everything]  # of those that other jobs were at, too
+    show()
+    if min(done) < options.max_iterations:
         print("Not all are finished: give the same command again. The evaluation comes when they are.")
         return False
     with only_one(options.out / ".evaluation.lock") as mine:
@@ -148,16 +155,16 @@ def compare(options: CompareOptions) -> bool:
         return _evaluate(everything, options)
 
 
-def progress(everything: Sequence[Training], wanted: int, at_first: int, seconds: float) -> str:
+def progress(everything: Sequence[Training], done: Sequence[int], wanted: int, at_first: int, seconds: float) -> str:
     """What is done of each training, a row each, and how long the rest takes at the rate so far.
 
     Args:
         everything: All trainings.
+        done: Iterations that are done of each.
         wanted: Iterations of each.
         at_first: Iterations that were done of all of them together when this job began.
         seconds: Time since then [s].
     """
-    done = [training.iterations() for training in everything]
     lines = [
         f"{training.folder.name:32}{number:6d} of {wanted} iterations"
         for training, number in zip(everything, done, strict=True)

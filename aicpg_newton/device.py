@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Literal
 
 import torch
 
 from aicpg_newton import launcher
 from aicpg_newton.errors import UserError
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+Compile = Literal["auto", "on", "off"]
+"""Whether to compile what stands around the physics; ``auto``: on a GPU with Triton."""
 
 
 def resolve_device(name: str) -> torch.device:
@@ -107,18 +108,19 @@ def reading_is_free(device: torch.device | str) -> bool:
     return torch.device(device).type == "cpu"
 
 
-def worth_compiling(choice: str, device: torch.device) -> bool:
-    """Whether to compile what stands around the physics: ``on``, ``off``, or ``auto``: on a GPU with Triton."""
+def worth_compiling(choice: Compile, device: torch.device) -> bool:
+    """Whether to compile on this device."""
     return choice == "on" or (choice == "auto" and device.type == "cuda" and find_spec("triton") is not None)
 
 
-def compiled_kernels(function: _Function) -> _Function:
-    """The same function as a few kernels; refused where it would wait for the device or leave the graph.
+def compile_methods(owner: object, names: Iterable[str]) -> None:
+    """Make a few kernels of an object's methods; refused where one would wait for the device or leave the graph.
 
     Concatenations become one kernel each, whatever is concatenated: the other way is a kernel for every part.
     """
     options: dict[str, Any] = {"force_pointwise_cat": True, "max_pointwise_cat_inputs": 64}
-    return cast(_Function, torch.compile(function, fullgraph=True, dynamic=False, options=options))
+    for name in names:
+        setattr(owner, name, torch.compile(getattr(owner, name), fullgraph=True, dynamic=False, options=options))
 
 
 def finish(device: torch.device | str) -> None:

@@ -94,14 +94,6 @@ def _parts(task: str, engine_name: str, num_envs: int, device: torch.device) -> 
 
 def _kept_by_an_update(runner: Runner) -> int:
     """Bytes that back-propagation keeps of a minibatch until its gradients are there; the largest minibatch counts."""
-    collected = runner.alg
-    observed = runner.env.get_observations().to(runner.device)
-    for _ in range(runner.cfg["num_steps_per_env"]):
-        with torch.inference_mode():
-            observed, rewards, dones, extras = runner.env.step(collected.act(observed))
-            collected.process_env_step(observed, rewards, dones, extras)
-    with torch.inference_mode():
-        collected.compute_returns(observed)
     kept: dict[int, int] = {}
     most = 0
 
@@ -111,10 +103,10 @@ def _kept_by_an_update(runner: Runner) -> int:
         most = max(most, sum(kept.values()))
         return tensor
 
-    forgetting = collected.optimizer.register_step_post_hook(lambda *_: kept.clear())
-    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
-        collected.update()
-    forgetting.remove()
+    runner.alg.optimizer.register_step_post_hook(lambda *_: kept.clear())
+    hooks = torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor)
+    with hooks, contextlib.redirect_stdout(io.StringIO()):
+        runner.learn(1)
     return most
 
 

@@ -1,10 +1,9 @@
 """Training several methods one after the other, in pieces, and evaluating them together."""
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -100,25 +99,12 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
 
 def test_progress_is_a_row_for_each_and_the_time_left(tmp_path: Path):
     """30 of 200 iterations at first, 80 now after 100 s: 120 are left, at two seconds each."""
-
-    @dataclass
-    class Done:
-        """A training of which so much is done."""
-
-        folder: Path
-        number: int
-
-        def iterations(self) -> int:
-            """As :meth:`compare.Training.iterations`."""
-            return self.number
-
-    everything: Any = [Done(tmp_path / "flat_seed_0", 80), Done(tmp_path / "flat_ppo_1.5_seed_0", 0)]
-    lines = compare.progress(everything, 100, 30, 100.0).splitlines()
+    everything = trainings(CompareOptions(out=tmp_path, methods=("ai-cpg", "ppo:1.5"), seeds=(0,)))
+    lines = compare.progress(everything, (80, 0), 100, 30, 100.0).splitlines()
     assert lines[0].split() == ["flat_seed_0", "80", "of", "100", "iterations"] and len(lines) == 3
     assert lines[2] == "120 iterations are left: about 0 h 4 min at the rate of this job."
-    assert len(compare.progress(everything, 100, 80, 100.0).splitlines()) == 2
-    everything[0].number = everything[1].number = 100
-    assert len(compare.progress(everything, 100, 30, 100.0).splitlines()) == 2
+    assert len(compare.progress(everything, (80, 0), 100, 80, 100.0).splitlines()) == 2
+    assert len(compare.progress(everything, (100, 100), 100, 30, 100.0).splitlines()) == 2
 
 
 @pytest.mark.usefixtures("small")

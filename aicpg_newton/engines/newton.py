@@ -11,7 +11,7 @@ import torch
 import warp as wp
 from mujoco_warp import OverflowType
 
-from aicpg_newton.device import compiled_kernels
+from aicpg_newton.device import compile_methods
 from aicpg_newton.engines import kernels
 from aicpg_newton.engines.interface import BodyState, Physics, RobotState, take_over
 from aicpg_newton.engines.model import ROOT_COORDINATES, ROOT_DOFS, build, make_solver
@@ -87,8 +87,7 @@ class NewtonEngine:
 
     def compile(self) -> None:
         """See :meth:`Engine.compile`."""
-        for name in ("_tell", "_measure", "_place", "_read"):
-            setattr(self, name, compiled_kernels(getattr(self, name)))
+        compile_methods(self, ("_tell", "_measure", "_place", "_read"))
 
     def _make_collisions(self, cell: float) -> newton.CollisionPipeline:
         """Newton's own collision detection, for uneven ground of cells of this size [m].

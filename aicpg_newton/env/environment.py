@@ -11,7 +11,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch.utils._pytree import tree_map
 
-from aicpg_newton.device import compiled_kernels, reading_is_free
+from aicpg_newton.device import compile_methods, reading_is_free
 from aicpg_newton.engines import BodyState, Engine, RobotState, make_engine
 from aicpg_newton.env.actuation import MotorCommand
 from aicpg_newton.env.commands import Commands, FrequencyChanges
@@ -145,8 +145,7 @@ class Environment(VecEnv):
         self._compiled = compiled
         if compiled:
             engine.compile()
-            for name in _COMPILED:
-                setattr(self, name, compiled_kernels(getattr(self, name)))
+            compile_methods(self, _COMPILED)
         try:
             self.restart(self.commands.frequency)
         except Exception as error:  # a compiler that is not there, or does not work, raises many types

@@ -74,6 +74,10 @@ class Laboratory:
         self._engines: list[Engine] = []
         self._worlds: list[Any] = []
 
+    def environments(self, groups: int) -> int:
+        """Number of environments for so many groups."""
+        return self.num_envs or environments_for(groups)
+
     def engine_of(self, task: Task, number: int) -> Engine:
         """The engine with the task's physics, ground and motors, for so many environments."""
         motors = [values.tolist() for values in vars(task.motors()).values()]
@@ -100,11 +104,11 @@ class Laboratory:
             content: Content of the checkpoint; None for no reflexes.
             terrain_seed: Seed of the ground, unless that is a plane.
         """
-        number = self.num_envs or environments_for(len(frequencies))
         task = on_terrain(controller.task.undisturbed(), terrain_seed)
         task.pushes = protocol.pushes()
         task.termination.episode_steps = protocol.steps + 1
-        environment = Environment(task, self.engine_of(task, number), controller.pattern, seed=self.seed)
+        engine = self.engine_of(task, self.environments(len(frequencies)))
+        environment = Environment(task, engine, controller.pattern, seed=self.seed)
         agent = no_action if content is None else load_policy(environment, content)
         label = f"{protocol.name:12}{controller.title}, iteration {0 if content is None else content['iteration']}"
         if protocol.every_terrain:
@@ -290,7 +294,7 @@ def _one(
         if protocol.every_terrain:
             summary = terrain_summaries.over_terrains(rows)
     names = {"method": controller.method, "condition": controller.condition, "seed": controller.seed}
-    number = laboratory.num_envs or environments_for(len(frequencies))
+    number = laboratory.environments(len(frequencies))
     return rows, {**names, "iteration": iteration, "environments": number, **summary}
 
 

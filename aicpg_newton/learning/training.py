@@ -18,7 +18,7 @@ import torch
 import yaml
 
 from aicpg_newton import places
-from aicpg_newton.device import resolve_device, resolve_learner_device, worth_compiling
+from aicpg_newton.device import Compile, resolve_device, resolve_learner_device, worth_compiling
 from aicpg_newton.engines import engine_name
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.faults import BadStates
@@ -74,7 +74,7 @@ class RunOptions:
     """At every checkpoint let 16 other robots walk and run on a CPU for 4 s: curves of who stands, speed and flight."""
     film_every: Annotated[int, Range(0, 1_000_000)] = 5
     """Film a walk and a run at every so many of these checkpoints, into films/ in the run folder; 0 never."""
-    compile: Literal["auto", "on", "off"] = "auto"
+    compile: Compile = "auto"
     """Make a few kernels of what stands around the physics, with a compiler, in a minute or two; auto: on a GPU."""
     dump_bad_states: bool = False
     """Write what a simulation that goes wrong began from into the run folder: bad_states_<iteration>.pt, at most 256

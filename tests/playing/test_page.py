@@ -59,11 +59,16 @@ def playing(tmp_path: Path) -> Iterator[tuple[subprocess.Popen, str]]:
             address = re.search(r"open (http://\S+) in a browser", output.read_text())
             time.sleep(0.2)
         yield process, address[1]
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=60) == 0, output.read_text()
-        assert "Traceback" not in output.read_text()
+        assert "Traceback" not in ended(process, output)
     finally:
         process.kill()
+
+
+def ended(process: subprocess.Popen, output: Path) -> str:
+    """What it has printed, once Ctrl-C has ended it; again where it had ended before."""
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=60) == 0, output.read_text(encoding="utf-8")
+    return output.read_text(encoding="utf-8")
 
 
 @pytest.fixture
@@ -118,7 +123,7 @@ def test_turn_and_read(playing, browser, tmp_path: Path):
     """F is turned to 1.3 Hz and the speed follows; a push is told of and stood; a page may be closed meanwhile."""
     from selenium.webdriver.common.keys import Keys
 
-    _, address = playing
+    process, address = playing
     browser.get(address)
     before = wait(browser, 4.0)
     assert [row[1] for row in before] == pytest.approx([0.9, 1.1], abs=0.01)
@@ -140,6 +145,7 @@ def test_turn_and_read(playing, browser, tmp_path: Path):
     browser.get(address)
     assert wait(browser, 1.0)[0][1] == pytest.approx(1.3, abs=0.01) and simulated(browser) > float(told[1])
     assert browser.save_screenshot(str(tmp_path / "page.png")) and (tmp_path / "page.png").stat().st_size > 20_000
+    assert "turned by hand" in ended(process, tmp_path / "output")
 
 
 def test_a_second_viewer_beside_the_first(playing):
