@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import torch
 import tyro
 
-from aicpg_newton.device import finish, resolve_device
+from aicpg_newton.device import finish, resolve_device, worth_compiling
 from aicpg_newton.engines import BodyState
 from aicpg_newton.engines.terrain import Ground
 from aicpg_newton.env.environment import Environment, engine_for
@@ -117,7 +117,8 @@ def parity(device: torch.device) -> None:
 def profile(device: torch.device, num_envs: int) -> None:
     """What a control step spends its time on."""
     task = get_task("flat")
-    environment = Environment(task, engine_for(task, "newton", num_envs, device), PatternNetwork.load())
+    engine, compiled = engine_for(task, "newton", num_envs, device), worth_compiling("auto", device)
+    environment = Environment(task, engine, PatternNetwork.load(), compiled=compiled)
     actions = torch.zeros(num_envs, 28, device=device)
     for _ in range(5):
         environment.step(actions)

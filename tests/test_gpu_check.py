@@ -1,8 +1,10 @@
 """The script for the first minutes on a GPU runs to its end, here on a CPU with tiny sizes."""
 
+import io
 import json
 import os
 import subprocess
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -13,17 +15,45 @@ ROOT = Path(__file__).resolve().parent.parent
 @pytest.mark.slow
 def test_the_whole_check(tmp_path: Path):
     """Every part leaves its output; captured steps are equal, engines agree, and a training is there."""
-    small = {"DEVICE": "cpu", "SIZES": "4", "SECONDS_EACH": "0.1", "ITERATIONS": "1", "PROFILE_ENVS": "4"}
-    small |= {"TRAIN_ENVS": "4", "TRAIN_MINUTES": "0.01"}
+    small = {
+        "DEVICE": "cpu",
+        "SIZES": "4",
+        "SECONDS_EACH": "0.1",
+        "ITERATIONS": "1",
+        "COMPILED_ENVS": "4",
+        "LIMIT": "900",
+    }
     command = [str(ROOT / "scripts" / "gpu_check.sh"), str(tmp_path / "out")]
     result = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **small})
     assert result.returncode == 0, result.stdout[-3000:]
-    assert "FAILED" not in result.stdout and "All done" in result.stdout
+    assert "Failed" not in result.stdout and "All done" in result.stdout
     assert "plane: largest difference after 60 steps 0\n" in result.stdout
     assert "terrain: root" in result.stdout
-    assert [row["task"] for row in json.loads((tmp_path / "out" / "benchmark.json").read_text())] == ["flat", "uneven"]
-    assert (tmp_path / "out" / "first_iteration" / "model_0.pt").is_file()
-    assert (tmp_path / "out" / "training" / "config.yaml").is_file()
+    assert [row["task"] for row in json.loads((tmp_path / "out" / "plain.json").read_text())] == ["flat", "uneven"]
+    assert [row["task"] for row in json.loads((tmp_path / "out" / "compiled.json").read_text())] == ["flat"]
+    for task in ("flat", "robust"):
+        assert (tmp_path / "out" / f"run_{task}" / "model_2.pt").is_file()
+
+
+@pytest.mark.slow
+def test_trainings_side_by_side(tmp_path: Path):
+    """One as on the GPU and one beside it come home as an archive, though both are stopped when their time is up."""
+    trainings = "first gpu --task flat --num-envs 4\nsecond cpu --method ppo --num-envs 4\n"
+    result = subprocess.run(
+        [str(ROOT / "scripts" / "gpu_train.sh"), str(tmp_path / "out"), "60", "0"],
+        input=trainings,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "DEVICE": "cpu", "RUNS": str(tmp_path / "runs")},
+    )
+    assert result.returncode == 0, result.stdout
+    parts = sorted((tmp_path / "out").glob("trainings.tar.gz.part-*"))
+    with tarfile.open(fileobj=io.BytesIO(b"".join(part.read_bytes() for part in parts))) as archive:
+        names = archive.getnames()
+    for name in ("first", "second"):
+        assert any(each.startswith(f"{name}/model_") and each != f"{name}/model_0.pt" for each in names), result.stdout
+        assert {f"{name}.log", f"{name}/config.yaml"} <= set(names)
 
 
 def test_a_device_that_is_not_there(tmp_path: Path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, ClassVar, Protocol
 
 import torch
@@ -86,7 +86,8 @@ class RobotState(BodyState):
 
     def finite(self) -> torch.Tensor:
         """Whether every number of an environment is finite, shape [num_envs]."""
-        return torch.isfinite(torch.cat([value.flatten(1) for value in vars(self).values()], dim=1)).all(dim=1)
+        parts = [getattr(self, each.name).flatten(1) for each in fields(self)]
+        return torch.isfinite(torch.cat(parts, dim=1)).all(dim=1)
 
 
 class Engine(Protocol):

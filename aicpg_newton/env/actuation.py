@@ -130,7 +130,8 @@ class PatternActuation(TorqueActuation):
 
     def command(self, actions: torch.Tensor, state: RobotState) -> MotorCommand:
         """See :meth:`Actuation.command`: tau = tau_g + tau_r."""
-        return super().command(actions, state)._replace(target=self.target, target_velocity=self.target_velocity)
+        # Made anew, as torch.compile of torch 2.11 cannot hand out what _replace makes.
+        return MotorCommand(self.target, self.target_velocity, super().command(actions, state).torque)
 
     def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> BodyState:
         """See :meth:`Actuation.start`: the gait at this phase and frequency."""

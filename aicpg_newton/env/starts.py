@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -92,7 +93,7 @@ class Starts:
         position, soles = start.root_position + shift, self._soles + shift.unsqueeze(1)
         sunk = (self._terrain.height(soles) - soles[..., 2]).amax(dim=1).clamp_min(0.0)
         position[:, 2] += sunk
-        return BodyState(**{**vars(start), "root_position": position})
+        return replace(start, root_position=position)
 
     def _uniform(self, like: torch.Tensor, low: float, high: float) -> torch.Tensor:
         """Random numbers in [low, high), shape as ``like``."""

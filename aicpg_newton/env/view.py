@@ -36,7 +36,8 @@ class derived(Generic[_Value]):
         """The value, from the owner's own dictionary after the first time."""
         if owner is None:
             return self
-        value = vars(owner)[self._name] = self._function(owner)
+        value = self._function(owner)
+        setattr(owner, self._name, value)  # into its dictionary, which goes before a descriptor without __set__
         return value
 
 

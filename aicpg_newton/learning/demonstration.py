@@ -12,7 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import imageio_ffmpeg
 import torch
 from PIL import Image
 from tensorboard.compat.proto.summary_pb2 import Summary  # pyright: ignore[reportAttributeAccessIssue] - made by protoc
@@ -101,6 +100,8 @@ class Demonstration:
 
 def as_gif(film: Path) -> bytes:
     """A film as an animated GIF of every third frame, which TensorBoard can show."""
+    import imageio_ffmpeg  # here, as a machine that only trains may be without an encoder
+
     frames = imageio_ffmpeg.read_frames(str(film))
     size = next(frames)["size"]
     pictures = [Image.frombytes("RGB", size, frame) for frame in list(frames)[::3]]

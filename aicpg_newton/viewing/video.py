@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 from types import TracebackType
 
-import imageio_ffmpeg
 import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
@@ -58,6 +57,8 @@ class VideoWriter:
         width: int = 640,
         height: int = 360,
     ) -> None:
+        import imageio_ffmpeg  # here, as a machine that only trains may be without an encoder
+
         self._path = writable_path(path, ".mp4")
         if width < 64 or height < 64 or width % 2 or height % 2:
             raise UserError(f"a recording of {width}x{height} pixels is not possible; give even numbers of at least 64")
@@ -81,6 +82,7 @@ class VideoWriter:
             output_params=["-f", "mp4"],
         )
         self._writer: Generator[None, np.ndarray | None, None] | None = writer
+        self._count_frames: Callable[[str], tuple[int, float]] = imageio_ffmpeg.count_frames_and_secs
 
     def add(
         self,
@@ -137,7 +139,7 @@ class VideoWriter:
     def _is_whole(self) -> bool:
         """Whether all frames are in the file: a full disk may show at its end, where the encoder does not say so."""
         try:
-            frames, _ = imageio_ffmpeg.count_frames_and_secs(str(self._file.temporary))
+            frames, _ = self._count_frames(str(self._file.temporary))
         except (OSError, RuntimeError):
             return False
         return frames == math.ceil(self._steps / _STEPS_PER_FRAME)
