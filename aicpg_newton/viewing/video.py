@@ -82,7 +82,7 @@ class VideoWriter:
             output_params=["-f", "mp4"],
         )
         self._writer: Generator[None, np.ndarray | None, None] | None = writer
-        self._count_frames: Callable[[str], tuple[int, float]] = imageio_ffmpeg.count_frames_and_secs
+        self._count_frames: Callable[[str], tuple[int | None, float | None]] = imageio_ffmpeg.count_frames_and_secs
 
     def add(
         self,
