@@ -38,7 +38,8 @@ def test_the_whole_check(tmp_path: Path):
 @pytest.mark.slow
 def test_trainings_side_by_side(tmp_path: Path):
     """One as on the GPU and one beside it come home as an archive."""
-    trainings = "first gpu --task flat --num-envs 4 --max-iterations 3\nsecond cpu --method ppo --num-envs 4 --max-iterations 3\n"
+    short = "--num-envs 4 --max-iterations 3\n"
+    trainings = f"first gpu --task flat {short}second cpu --method ppo {short}"
     result = subprocess.run(
         [str(ROOT / "scripts" / "gpu_train.sh"), str(tmp_path / "out"), "900", "0"],
         input=trainings,
