@@ -8,8 +8,7 @@ set -uo pipefail
 cd "$(dirname "$0")/.."
 out=${1:?give a folder for the results} seconds=${2:?give a time in seconds}
 core=${3:-4}
-runs=${RUNS:-/tmp/gpu_train}
-rm -rf "$runs"
+runs=${RUNS:-$(mktemp -d)} # a folder that is there is kept: train.py goes into no other run's
 mkdir -p "$out" "$runs"
 out=$(realpath "$out")
 
