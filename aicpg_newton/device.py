@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import torch
 
 from aicpg_newton import launcher
 from aicpg_newton.errors import UserError
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
 
 Compile = Literal["auto", "on", "off"]
 """Whether to compile what stands around the physics; ``auto``: on a GPU with Triton."""
@@ -116,11 +119,21 @@ def worth_compiling(choice: Compile, device: torch.device) -> bool:
 def compile_methods(owner: object, names: Iterable[str]) -> None:
     """Make a few kernels of an object's methods; refused where one would wait for the device or leave the graph.
 
-    Concatenations become one kernel each, whatever is concatenated: the other way is a kernel for every part.
+    Concatenations become one kernel each, whatever is concatenated: the other way is a kernel for every part. They
+    always run on one torch thread, as torch compiles anew for another number of them.
     """
     options: dict[str, Any] = {"force_pointwise_cat": True, "max_pointwise_cat_inputs": 64}
     for name in names:
-        setattr(owner, name, torch.compile(getattr(owner, name), fullgraph=True, dynamic=False, options=options))
+        compiled = torch.compile(getattr(owner, name), fullgraph=True, dynamic=False, options=options)
+        setattr(owner, name, torch_threads(1)(compiled))
+
+
+def plain_tensors(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+    """Run a function without gradients but outside of :class:`torch.inference_mode`, wherever it is called from.
+
+    What it keeps can then be changed by whoever calls it next, and is of one kind: torch compiles anew for the other.
+    """
+    return torch.inference_mode(False)(torch.no_grad()(function))
 
 
 def finish(device: torch.device | str) -> None:

@@ -50,7 +50,7 @@ class FrequencyChanges:
 
     def begin(self, frequency: torch.Tensor) -> None:
         """All robots keep these stride frequencies [Hz], shape [num_envs], until their first change."""
-        self._target, self._step = frequency, torch.zeros_like(frequency)
+        self._target, self._step = frequency.clone(), torch.zeros_like(frequency)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Where the frequencies are going [Hz], and how fast [Hz a step]."""

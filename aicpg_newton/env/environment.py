@@ -11,7 +11,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch.utils._pytree import tree_map
 
-from aicpg_newton.device import compile_methods, reading_is_free
+from aicpg_newton.device import compile_methods, plain_tensors, reading_is_free
 from aicpg_newton.engines import BodyState, Engine, RobotState, make_engine
 from aicpg_newton.env.actuation import MotorCommand
 from aicpg_newton.env.commands import Commands, FrequencyChanges
@@ -154,7 +154,7 @@ class Environment(VecEnv):
             reason = (str(error) or type(error).__name__).strip().splitlines()[0]
             raise UserError(f"torch.compile does not work here ({reason}); give --compile off") from error
 
-    @torch.no_grad()
+    @plain_tensors
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
         """Advance every environment by 1/60 s; see :class:`rsl_rl.env.VecEnv`.
 
@@ -168,6 +168,8 @@ class Environment(VecEnv):
         Raises:
             UserError: On a CPU, as :meth:`check`.
         """
+        if actions.is_inference():
+            actions = actions.clone()  # of the kind of all others
         command = self._ask(actions)
         if reading_is_free(self.device):
             self.check()
@@ -221,8 +223,7 @@ class Environment(VecEnv):
             self._move_between_levels(failed, self.outcome.timed_out, levels.long())
         self._episode_rewards = self._episode_rewards + rewards
         log = self._log(dones)
-        if self._compiled:
-            self._seen = None  # what it has derived stays within the kernels
+        self._drop_what_kernels_saw()
         return rewards.sum(dim=0), dones, log
 
     def check(self) -> None:
@@ -348,6 +349,7 @@ class Environment(VecEnv):
         self._episode_rewards = self._episode_rewards.masked_fill(dones, 0.0)
         self._episode_steps = self._episode_steps.masked_fill(dones, 0.0)
 
+    @plain_tensors
     def get_observations(self) -> TensorDict:
         """Current observations: under ``policy`` the network's, shape [num_envs, 192] (136 without a CPG).
 
@@ -357,26 +359,32 @@ class Environment(VecEnv):
         if self.actuation.style_blocks:
             view = self._view()
             seen["style"] = observe(self.actuation.style_blocks, StyleView(view.state, view.ground_height))
+            self._drop_what_kernels_saw()
         return TensorDict(seen, batch_size=[self.num_envs], device=self.device)
 
     def _observe(self) -> torch.Tensor:
         """What the network sees, shape [num_envs, size]."""
         seen = observe(self.blocks, self._view())
-        if self._compiled:
-            self._seen = None
+        self._drop_what_kernels_saw()
         return seen
 
+    def _drop_what_kernels_saw(self) -> None:
+        """What a view has derived within compiled kernels stays there."""
+        if self._compiled:
+            self._seen = None
+
+    @plain_tensors
     def restart(self, frequency: torch.Tensor) -> None:
         """Start new episodes in all environments, at these stride frequencies [Hz], shape [num_envs]."""
         self.commands, self._commands_to_come = replace(self.commands, frequency=frequency), None
-        self._own_frequency = frequency
+        self._own_frequency = frequency.clone()  # two tensors: torch compiles anew where one is no longer the other
         """Stride frequency that each robot begins an episode with [Hz], shape [num_envs]."""
         if self._changes is not None:
             self._changes.begin(frequency)
         self._starts.draw(frequency)
         self.reset(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
 
-    @torch.no_grad()
+    @plain_tensors
     def reset(self, mask: torch.Tensor) -> None:
         """Start new episodes, as :class:`Starts` has them ready.
 

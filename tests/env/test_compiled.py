@@ -13,8 +13,10 @@ from aicpg_newton.engines.interface import BodyState
 from aicpg_newton.env import environment as module
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.registry import get_task
+from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
+from aicpg_newton.learning.runner import Runner
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler on a CPU")
 
@@ -30,7 +32,14 @@ def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     torch._dynamo.reset()
 
 
-def pair(task, name: str, pattern: PatternNetwork) -> tuple[Environment, Environment]:
+def small(task: Task) -> Task:
+    """The same with less terrain, where it has any."""
+    if task.ground.uneven:
+        task.ground.length, task.ground.width = 24.0, 16.0 * task.ground.levels
+    return task
+
+
+def pair(task: Task, name: str, pattern: PatternNetwork) -> tuple[Environment, Environment]:
     """The same environment plain and compiled."""
     plain, compiled = (
         Environment(task, engine_for(task, name, NUM_ENVS, "cpu"), pattern, seed=3, compiled=each)
@@ -78,10 +87,25 @@ def test_compiled_steps_are_the_plain_ones(pattern: PatternNetwork):
 @pytest.mark.parametrize(("name", "method"), [("robust", "ai-cpg"), ("uneven", "amp"), ("flat", "ppo")])
 def test_all_methods_and_grounds(name: str, method: str, pattern: PatternNetwork):
     """Terrain, levels, pushes and frequencies that change; targets of a network; torques alone."""
-    task = get_task(name, method)
-    if task.ground.uneven:
-        task.ground.length, task.ground.width = 24.0, 16.0 * task.ground.levels
-    assert_same_steps(*pair(task, "mujoco", pattern))
+    assert_same_steps(*pair(small(get_task(name, method)), "mujoco", pattern))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "method"), [("flat", "ai-cpg"), ("robust", "ai-cpg"), ("uneven", "amp")])
+def test_nothing_is_compiled_twice(name: str, method: str, pattern: PatternNetwork):
+    """Learning steps in inference mode and on one thread; playing does not. torch compiles anew for what differs."""
+    task = small(get_task(name, method))
+    task.learning.steps_per_iteration = 4
+    with torch._dynamo.config.patch(error_on_recompile=True):
+        environment = Environment(task, engine_for(task, "mujoco", NUM_ENVS, "cpu"), pattern, compiled=True)
+        runner = Runner(environment, {"seed": 0})
+        runner.learn(2, init_at_random_ep_len=True)
+        environment.restart(environment.commands.frequency)
+        for _ in range(2):
+            environment.step(torch.zeros(NUM_ENVS, 28))
+        environment.faults.take()
+        environment.load_state_dict(environment.state_dict())
+        runner.learn(1)
 
 
 def test_on_a_gpu_unless_told_otherwise(monkeypatch: pytest.MonkeyPatch):
