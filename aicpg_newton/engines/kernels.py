@@ -2,9 +2,143 @@
 
 # Warp's Python stubs do not type what a kernel may do with its arguments.
 # pyright: reportArgumentType=false, reportIndexIssue=false, reportOperatorIssue=false, reportCallIssue=false
-# pyright: reportAttributeAccessIssue=false, reportGeneralTypeIssues=false
+# pyright: reportAttributeAccessIssue=false, reportGeneralTypeIssues=false, reportAssignmentType=false
+
+from itertools import accumulate
 
 import warp as wp
+
+from aicpg_newton.robot.humanoid import NUM_JOINTS
+
+wp.set_module_options({"enable_backward": False})
+
+COMMAND_SIZES = (NUM_JOINTS, NUM_JOINTS, NUM_JOINTS, 3)
+"""Numbers of a robot's command: target angles, their rates, torques, push."""
+
+STATE_SIZES = (3, 4, 3, 3, NUM_JOINTS, NUM_JOINTS, NUM_JOINTS, 3, 6, 6)
+"""Numbers of each field of a robot's :class:`~aicpg_newton.engines.interface.RobotState`, in its order."""
+
+START_SIZES = STATE_SIZES[:6]
+"""Those of a :class:`~aicpg_newton.engines.interface.BodyState`."""
+
+_RATE, _TORQUE, _PUSH = map(wp.constant, accumulate(COMMAND_SIZES[:-1]))
+_ROTATION, _LINEAR, _ANGULAR, _ANGLES, _RATES, _TORQUES, _HEAD, _FORCE, _MOMENT = map(
+    wp.constant, accumulate(STATE_SIZES[:-1])
+)
+
+
+@wp.func
+def _vector(rows: wp.array2d[wp.float32], row: int, first: int):
+    return wp.vec3(rows[row, first], rows[row, first + 1], rows[row, first + 2])
+
+
+@wp.func
+def _quaternion(rows: wp.array2d[wp.float32], row: int, first: int):
+    return wp.quat(rows[row, first], rows[row, first + 1], rows[row, first + 2], rows[row, first + 3])
+
+
+@wp.kernel
+def write_command(
+    command: wp.array2d[wp.float32],
+    hinges: wp.array[wp.int32],
+    torso: wp.int32,
+    position_gain: wp.array2d[wp.float32],
+    target_position: wp.array2d[wp.float32],
+    target_velocity: wp.array2d[wp.float32],
+    wrench_in: wp.array2d[wp.spatial_vector],
+    wrench_out: wp.array2d[wp.spatial_vector],
+):
+    """Put commands where the solver reads them: a torque is a shift of the position target by tau / Kp.
+
+    A thread for every world and joint. ``wrench_in`` and ``wrench_out`` are the external forces of the two states that
+    the physics steps alternate between; only the torso is ever pushed.
+    """
+    world, joint = wp.tid()
+    dof = 6 + hinges[joint]
+    shift = command[world, _TORQUE + joint] / position_gain[world, dof]
+    target_position[world, 1 + dof] = command[world, joint] + shift
+    target_velocity[world, dof] = command[world, _RATE + joint]
+    if joint == 0:
+        push = _vector(command, world, _PUSH)
+        wrench = wp.spatial_vector(push, wp.vec3(0.0, 0.0, 0.0))
+        wrench_in[world, torso] = wrench
+        wrench_out[world, torso] = wrench
+
+
+@wp.kernel
+def place(
+    mask: wp.array[wp.bool],
+    start: wp.array2d[wp.float32],
+    hinges: wp.array[wp.int32],
+    pelvis: wp.int32,
+    centre_of_mass: wp.array2d[wp.vec3],
+    position: wp.array2d[wp.float32],
+    velocity: wp.array2d[wp.float32],
+    motor_torque: wp.array2d[wp.float32],
+    foot_wrench: wp.array2d[wp.spatial_vector],
+):
+    """Put masked robots where they start; a thread for every world and joint.
+
+    Newton's free joint carries the velocity of the pelvis's centre of mass.
+    """
+    world, joint = wp.tid()
+    if not mask[world]:
+        return
+    dof = 6 + hinges[joint]
+    position[world, 1 + dof] = start[world, _ANGLES + joint]
+    velocity[world, dof] = start[world, _RATES + joint]
+    motor_torque[world, dof] = 0.0
+    if joint == 0:
+        for k in range(7):
+            position[world, k] = start[world, k]
+        rotation = _quaternion(start, world, _ROTATION)
+        linear = _vector(start, world, _LINEAR)
+        angular = _vector(start, world, _ANGULAR)
+        linear += wp.cross(angular, wp.quat_rotate(rotation, centre_of_mass[world, pelvis]))
+        for k in range(3):
+            velocity[world, k] = linear[k]
+            velocity[world, 3 + k] = angular[k]
+        for k in range(6):
+            motor_torque[world, k] = 0.0
+        for foot in range(2):
+            foot_wrench[world, foot] = wp.spatial_vector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@wp.kernel
+def read_state(
+    hinges: wp.array[wp.int32],
+    pelvis: wp.int32,
+    head: wp.int32,
+    head_centre: wp.vec3,
+    centre_of_mass: wp.array2d[wp.vec3],
+    position: wp.array2d[wp.float32],
+    velocity: wp.array2d[wp.float32],
+    body_pose: wp.array2d[wp.transform],
+    motor_torque: wp.array2d[wp.float32],
+    foot_wrench: wp.array2d[wp.spatial_vector],
+    state: wp.array2d[wp.float32],
+):
+    """Gather what is told of each robot in the order of ``STATE_SIZES``; a thread for every world and joint."""
+    world, joint = wp.tid()
+    dof = 6 + hinges[joint]
+    state[world, _ANGLES + joint] = position[world, 1 + dof]
+    state[world, _RATES + joint] = velocity[world, dof]
+    state[world, _TORQUES + joint] = motor_torque[world, dof]
+    if joint == 0:
+        for k in range(7):
+            state[world, k] = position[world, k]
+        rotation = _quaternion(position, world, 3)
+        linear = _vector(velocity, world, 0)
+        angular = _vector(velocity, world, 3)
+        linear -= wp.cross(angular, wp.quat_rotate(rotation, centre_of_mass[world, pelvis]))
+        top = wp.transform_point(body_pose[world, head], head_centre)
+        for k in range(3):
+            state[world, _LINEAR + k] = linear[k]
+            state[world, _ANGULAR + k] = angular[k]
+            state[world, _HEAD + k] = top[k]
+            for foot in range(2):
+                state[world, _FORCE + 3 * foot + k] = foot_wrench[world, foot][k]
+                state[world, _MOMENT + 3 * foot + k] = foot_wrench[world, foot][3 + k]
 
 
 @wp.kernel
@@ -49,11 +183,13 @@ def note_buffers(
     constraint_count: wp.array[wp.int32],
     contact_count: wp.array[wp.int32],
     overflow: wp.array[wp.int32],
+    ever: wp.array[wp.int32],
     most: wp.array[wp.int32],
 ):
-    """Collect each world's overflow bits of ``buffers``, the most constraints of a world and contacts of all worlds."""
+    """Collect each world's overflow bits of ``buffers``, most constraints of a world and contacts of all worlds."""
     world = wp.tid()
     overflow[world] = overflow[world] | (step_overflow[world] & buffers)
+    ever[world] = ever[world] | overflow[world]
     wp.atomic_max(most, 0, constraint_count[world])
     if world == 0:
         wp.atomic_max(most, 1, contact_count[0])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import newton
 import numpy as np
@@ -14,13 +16,15 @@ from mujoco_warp import OverflowType
 from aicpg_newton.device import compile_methods
 from aicpg_newton.engines import kernels
 from aicpg_newton.engines.interface import BodyState, Physics, RobotState, take_over
-from aicpg_newton.engines.model import ROOT_COORDINATES, ROOT_DOFS, build, make_solver
+from aicpg_newton.engines.model import build, make_solver
 from aicpg_newton.engines.terrain import Terrain
-from aicpg_newton.robot import rotations
-from aicpg_newton.robot.humanoid import FOOT_NAMES, HEAD_CENTRE, LINK_NAMES, MJCF_PATH, Motors
+from aicpg_newton.robot.humanoid import FOOT_NAMES, HEAD_CENTRE, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors
 
 _BUFFERS = ~int(OverflowType.ITERATIONS | OverflowType.LS_ITERATIONS)
 """Bits of the solver's overflows that speak of buffers; the others of iterations that did not converge."""
+
+_START = tuple(each.name for each in fields(BodyState))
+"""What a robot starts with."""
 
 
 class NewtonEngine:
@@ -69,25 +73,29 @@ class NewtonEngine:
             {kinds.CONTACT_F, kinds.QFRC_ACTUATOR, kinds.OVERFLOW}, contacts=self._contacts
         )
         self._map_layout(layout.joints, layout.links, layout.foot_shapes)
-        self._view_arrays()
+        self._make_arrays()
         newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
-        self._graph: wp.Graph | None = None
+        self._step_graph: wp.Graph | None = None
+        self._reset_graph: wp.Graph | None = None
         if physics.capture:
-            self._substeps()  # compiles every kernel before the capture
-            with wp.ScopedCapture(device=self._wp_device) as capture:
-                self._substeps()
-            self._graph = capture.graph
+            self._step_graph, self._reset_graph = self._record(self._advance), self._record(self._start_anew)
             self.solver.reset(self._states[0])
-            self._torque.zero_()
-            self._foot_wrench.zero_()
-            for array in (self._overflow_array, self._most):
+            for array in (self._observables.qfrc_actuator, self._foot_wrench, self._overflow, self._ever, self._most):
                 array.zero_()
-            newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
-        self.state = self._read()
+        newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
+        self._gather()
+        self.state = self._told()
+
+    def _record(self, kernels_of: Callable[[], None]) -> wp.Graph:
+        """A graph of the kernels that a function launches, Warp's only, on a GPU and on a CPU."""
+        kernels_of()  # compiles every kernel before the capture
+        with wp.ScopedCapture(device=self._wp_device) as capture:
+            kernels_of()
+        return cast(wp.Graph, capture.graph)
 
     def compile(self) -> None:
         """See :meth:`Engine.compile`."""
-        compile_methods(self, ("_tell", "_measure", "_place", "_read"))
+        compile_methods(self, ("_tell", "_ask_for_start"))
 
     def _make_collisions(self, cell: float) -> newton.CollisionPipeline:
         """Newton's own collision detection, for uneven ground of cells of this size [m].
@@ -107,52 +115,106 @@ class NewtonEngine:
         )
 
     def _map_layout(self, joints: tuple[int, ...], links: tuple[int, ...], foot_shapes: tuple[int, ...]) -> None:
-        hinges = torch.tensor(joints, device=self.device)
-        self._own_order = hinges.argsort()  # from the package's order to the model's, whose joints follow the root
-        self._coordinates = ROOT_COORDINATES + hinges
-        self._dofs = ROOT_DOFS + hinges
         self._pelvis, self._torso, self._head = (links[LINK_NAMES.index(name)] for name in ("pelvis", "torso", "head"))
         bodies, shapes = self.model.body_count // self.num_envs, (self.model.shape_count - 1) // self.num_envs
-        worlds = torch.arange(self.num_envs).unsqueeze(1)
-        feet = torch.tensor([links[LINK_NAMES.index(name)] for name in FOOT_NAMES])
-        foot_of_shape = torch.full((self.model.shape_count,), -1, dtype=torch.int32)
-        shape_of_foot = (worlds * shapes + torch.tensor(foot_shapes)).flatten()
-        foot_of_shape[shape_of_foot] = torch.arange(shape_of_foot.numel(), dtype=torch.int32)
-        self._foot_of_shape = wp.array(foot_of_shape.numpy(), dtype=wp.int32, device=self._wp_device)
-        foot_body = (worlds * bodies + feet).flatten().to(torch.int32)
-        self._foot_body = wp.array(foot_body.numpy(), dtype=wp.int32, device=self._wp_device)
-        self._foot_wrench_array: Any = wp.zeros(self.num_envs * 2, dtype=wp.spatial_vectorf, device=self._wp_device)
-        self._overflow_array = wp.zeros(self.num_envs, dtype=wp.int32, device=self._wp_device)
-        self._most = wp.zeros(2, dtype=wp.int32, device=self._wp_device)
-        self._reset_worlds = wp.zeros(self.num_envs + 1, dtype=wp.bool, device=self._wp_device)
-        self._reset_robots = wp.zeros(self.num_envs, dtype=wp.bool, device=self._wp_device)
+        worlds = np.arange(self.num_envs)[:, None]
+        foot_body = worlds * bodies + [links[LINK_NAMES.index(name)] for name in FOOT_NAMES]
+        foot_of_shape = np.full(self.model.shape_count, -1)
+        foot_of_shape[worlds * shapes + np.array(foot_shapes)] = np.arange(2 * self.num_envs).reshape(-1, 2)
+        self._hinges, self._foot_of_shape, self._foot_body = (
+            wp.array(np.ravel(each), dtype=wp.int32, device=self._wp_device)
+            for each in (joints, foot_of_shape, foot_body)
+        )
 
-    def _view_arrays(self) -> None:
-        """Torch views of the Warp arrays that are read and written around the substeps; nothing is copied."""
-        n = self.num_envs
+    def _make_arrays(self) -> None:
+        """Warp arrays of all that is told to the physics and read from it, a row for each robot, and torch views."""
+        n, state = self.num_envs, self._states[0]
+
+        def zeros(shape: int | tuple[int, int], kind: Any) -> Any:
+            return wp.zeros(shape, dtype=kind, device=self._wp_device)
+
+        def rows(array: Any) -> Any:
+            return array.reshape((n, -1))
+
+        self._command, self._start, self._state = (
+            zeros((n, sum(sizes)), wp.float32)
+            for sizes in (kernels.COMMAND_SIZES, kernels.START_SIZES, kernels.STATE_SIZES)
+        )
+        self._foot_wrench = zeros((n, 2), wp.spatial_vectorf)
+        self._overflow, self._ever, self._most = zeros(n, wp.int32), zeros(n, wp.int32), zeros(2, wp.int32)
+        self._world_mask = zeros(n + 1, wp.bool)  # the last world is that of what belongs to none
+        self._robot_mask = self._world_mask[:n]
+        self._position, self._velocity, self._body_pose = rows(state.joint_q), rows(state.joint_qd), rows(state.body_q)
+        self._motor_torque = rows(self._observables.qfrc_actuator)
+        self._centre_of_mass = rows(self.model.body_com)
+        self._command_view, self._start_view, self._state_view, self._mask_view, self._overflow_view = map(
+            wp.to_torch, (self._command, self._start, self._state, self._robot_mask, self._overflow)
+        )
+        self._no_push = torch.zeros(n, 3, device=self.device)
+
+    def _advance(self) -> None:
+        """A control step, in Warp only, so that a graph can hold it: command, physics steps, state."""
+        wp.launch(
+            kernels.write_command,
+            dim=(self.num_envs, NUM_JOINTS),
+            inputs=[
+                self._command,
+                self._hinges,
+                self._torso,
+                self.model.joint_target_ke.reshape((self.num_envs, -1)),
+            ],
+            outputs=[
+                each.reshape((self.num_envs, -1))
+                for each in (
+                    self._control.joint_target_q,
+                    self._control.joint_target_qd,
+                    *(state.body_f for state in self._states),
+                )
+            ],
+            device=self._wp_device,
+        )
+        self._substeps()
+        self._gather()
+
+    def _start_anew(self) -> None:
+        """Start masked robots anew, in Warp only."""
+        wp.launch(
+            kernels.place,
+            dim=(self.num_envs, NUM_JOINTS),
+            inputs=[self._robot_mask, self._start, self._hinges, self._pelvis, self._centre_of_mass],
+            outputs=[self._position, self._velocity, self._motor_torque, self._foot_wrench],
+            device=self._wp_device,
+        )
         state = self._states[0]
-        self._joint_q = wp.to_torch(state.joint_q).view(n, -1)
-        self._joint_qd = wp.to_torch(state.joint_qd).view(n, -1)
-        self._body_q = wp.to_torch(state.body_q).view(n, -1, 7)
-        self._body_f = [wp.to_torch(each.body_f).view(n, -1, 6) for each in self._states]
-        self._target_q = wp.to_torch(self._control.joint_target_q).view(n, -1)
-        self._target_qd = wp.to_torch(self._control.joint_target_qd).view(n, -1)
-        self._torque = wp.to_torch(self._observables.qfrc_actuator).view(n, -1)
-        self._warm_start = wp.to_torch(self.solver.mjw_data.qacc_warmstart)
-        self._foot_wrench = wp.to_torch(self._foot_wrench_array).view(n, 2, 6)
-        self._overflow = wp.to_torch(self._overflow_array)
-        self._ever_overflowed = torch.zeros(n, dtype=torch.bool, device=self.device)
-        self._world_mask = wp.to_torch(self._reset_worlds)
-        self._robot_mask = wp.to_torch(self._reset_robots)
-        com = wp.to_torch(self.model.body_com).view(n, -1, 3)
-        self._pelvis_com = com[:, self._pelvis].clone()
-        self._head_centre = torch.tensor(HEAD_CENTRE, device=self.device).expand(n, 3)
-        self._position_gain = wp.to_torch(self.model.joint_target_ke).view(n, -1)[:, self._dofs].clone()
+        self.solver.reset(state, self._world_mask, flags=0)
+        newton.eval_fk(self.model, state.joint_q, state.joint_qd, state, mask=self._robot_mask)
+        self._gather()
+
+    def _gather(self) -> None:
+        """Put what is told of the robots into one array."""
+        wp.launch(
+            kernels.read_state,
+            dim=(self.num_envs, NUM_JOINTS),
+            inputs=[
+                self._hinges,
+                self._pelvis,
+                self._head,
+                wp.vec3(*HEAD_CENTRE),
+                self._centre_of_mass,
+                self._position,
+                self._velocity,
+                self._body_pose,
+                self._motor_torque,
+                self._foot_wrench,
+            ],
+            outputs=[self._state],
+            device=self._wp_device,
+        )
 
     def _substeps(self) -> None:
-        """All physics steps of a control step, in Warp only, so that a graph can hold them, on a GPU and on a CPU."""
-        self._foot_wrench_array.zero_()
-        self._overflow_array.zero_()
+        """All physics steps of a control step."""
+        self._foot_wrench.zero_()
+        self._overflow.zero_()
         state_in, state_out = self._states
         for _ in range(self.physics.substeps):
             if self._collisions is not None:
@@ -180,7 +242,7 @@ class NewtonEngine:
                     state_out.body_q,
                     1.0 / self.physics.substeps,
                 ],
-                outputs=[self._foot_wrench_array],
+                outputs=[self._foot_wrench.flatten()],
                 device=self._wp_device,
             )
             wp.launch(
@@ -192,7 +254,7 @@ class NewtonEngine:
                     self.solver.mjw_data.nefc,
                     self._contacts.rigid_contact_count,
                 ],
-                outputs=[self._overflow_array, self._most],
+                outputs=[self._overflow, self._ever, self._most],
                 device=self._wp_device,
             )
             state_in, state_out = state_out, state_in
@@ -210,7 +272,7 @@ class NewtonEngine:
                 narrow.global_contact_reducer.buffer_overflows,
                 narrow.global_contact_reducer.ht_insert_failures,
             ],
-            outputs=[self._overflow_array],
+            outputs=[self._overflow],
             device=self._wp_device,
         )
 
@@ -222,75 +284,39 @@ class NewtonEngine:
         *,
         push: torch.Tensor | None = None,
     ) -> None:
-        """See :meth:`Engine.step`. A torque on top of the PD law is a shift of its position target by tau_r / Kp."""
-        self._tell(target, target_velocity, torque, push)
-        if self._graph is not None:
-            wp.capture_launch(self._graph)
+        """See :meth:`Engine.step`."""
+        self._tell(target, target_velocity, torque, self._no_push if push is None else push)
+        self._run(self._step_graph, self._advance)
+        self.state = self._told()
+
+    def _run(self, graph: wp.Graph | None, kernels_of: Callable[[], None]) -> None:
+        """Replay a graph, or launch its kernels one by one where nothing was recorded."""
+        if graph is not None:
+            wp.capture_launch(graph)
         else:
-            self._substeps()
-        self.state = self._measure()
+            kernels_of()
 
     def _tell(
-        self, target: torch.Tensor, target_velocity: torch.Tensor, torque: torch.Tensor, push: torch.Tensor | None
+        self, target: torch.Tensor, target_velocity: torch.Tensor, torque: torch.Tensor, push: torch.Tensor
     ) -> None:
-        """Put what a step was given where the physics reads it."""
-        shifted = target + torque / self._position_gain
-        self._target_q[:, ROOT_COORDINATES:] = shifted[:, self._own_order]
-        self._target_qd[:, ROOT_DOFS:] = target_velocity[:, self._own_order]
-        for body_f in self._body_f:
-            body_f.zero_()
-            if push is not None:
-                body_f[:, self._torso, :3] = push
-
-    def _measure(self) -> RobotState:
-        """The state after a step; whether a buffer was full is kept."""
-        self._ever_overflowed = self._ever_overflowed | self.overflowed
-        return self._read()
+        """Put what a step was given where its kernels read it."""
+        self._command_view.copy_(torch.cat((target, target_velocity, torque, push), dim=1))
 
     def reset(self, mask: torch.Tensor, start: BodyState) -> None:
         """See :meth:`Engine.reset`."""
-        self._place(mask, start)
-        state = self._states[0]
-        self.solver.reset(state, self._reset_worlds, flags=0)
-        newton.eval_fk(self.model, state.joint_q, state.joint_qd, state, mask=self._reset_robots)
-        self.state = self._read()
+        self._ask_for_start(mask, start)
+        self._run(self._reset_graph, self._start_anew)
+        self.state = self._told()
 
-    def _place(self, mask: torch.Tensor, start: BodyState) -> None:
-        """Put masked robots where they start; Newton's free joint carries the velocity of the centre of mass."""
-        com = rotations.rotate(start.root_rotation, self._pelvis_com)
-        com_velocity = start.root_linear_velocity + torch.linalg.cross(start.root_angular_velocity, com)
-        hinges, rates = (each[:, self._own_order] for each in (start.joint_position, start.joint_velocity))
-        joint_q = torch.cat((start.root_position, start.root_rotation, hinges), dim=1)
-        joint_qd = torch.cat((com_velocity, start.root_angular_velocity, rates), dim=1)
-        rows = mask.unsqueeze(1)
-        self._joint_q.copy_(torch.where(rows, joint_q, self._joint_q))
-        self._joint_qd.copy_(torch.where(rows, joint_qd, self._joint_qd))
-        self._torque.masked_fill_(rows, 0.0)
-        self._foot_wrench.masked_fill_(rows.unsqueeze(2), 0.0)
-        self._world_mask[:-1] = mask
-        self._robot_mask.copy_(mask)
+    def _ask_for_start(self, mask: torch.Tensor, start: BodyState) -> None:
+        """Put who starts anew, and how, where the kernels read it."""
+        self._mask_view.copy_(mask)
+        self._start_view.copy_(torch.cat([getattr(start, name) for name in _START], dim=1))
 
-    def _read(self) -> RobotState:
+    def _told(self) -> RobotState:
         """The state as parts of one new tensor, which is one copy where it would be ten."""
-        rotation = self._joint_q[:, 3:ROOT_COORDINATES]
-        angular_velocity = self._joint_qd[:, 3:ROOT_DOFS]
-        com = rotations.rotate(rotation, self._pelvis_com)
-        head = self._body_q[:, self._head]
-        wrench = self._foot_wrench
-        parts = {
-            "root_position": self._joint_q[:, :3],
-            "root_rotation": rotation,
-            "root_linear_velocity": self._joint_qd[:, :3] - torch.linalg.cross(angular_velocity, com),
-            "root_angular_velocity": angular_velocity,
-            "joint_position": self._joint_q[:, self._coordinates],
-            "joint_velocity": self._joint_qd[:, self._dofs],
-            "joint_torque": self._torque[:, self._dofs],
-            "head_position": head[:, :3] + rotations.rotate(head[:, 3:], self._head_centre),
-            "foot_force": wrench[..., :3].flatten(1),
-            "foot_moment": wrench[..., 3:].flatten(1),
-        }
-        copies = torch.cat(list(parts.values()), dim=1).split([part.shape[1] for part in parts.values()], dim=1)
-        state = dict(zip(parts, copies, strict=True))
+        parts = self._state_view.clone().split(kernels.STATE_SIZES, dim=1)
+        state = dict(zip((each.name for each in fields(RobotState)), parts, strict=True))
         for name in ("foot_force", "foot_moment"):
             state[name] = state[name].unflatten(1, (2, 3))
         return RobotState(**state)
@@ -303,22 +329,23 @@ class NewtonEngine:
     @property
     def overflowed(self) -> torch.Tensor:
         """See :attr:`Engine.overflowed`; all of them where a buffer that they share is full."""
-        return self._overflow != 0
+        return self._overflow_view != 0
 
     def overflows(self) -> int:
         """See :meth:`Engine.overflows`."""
-        return int(self._ever_overflowed.sum())
+        return int((self._ever.numpy() != 0).sum())
 
     def _memory(self) -> dict[str, torch.Tensor]:
         """All that is kept from step to step: motion, what the solver warm-starts from, and what was measured."""
-        return {
-            "joint_q": self._joint_q,
-            "joint_qd": self._joint_qd,
-            "body_q": self._body_q,
-            "warm_start": self._warm_start,
-            "motor_torque": self._torque,
+        arrays = {
+            "joint_q": self._position,
+            "joint_qd": self._velocity,
+            "body_q": self._body_pose,
+            "warm_start": self.solver.mjw_data.qacc_warmstart,
+            "motor_torque": self._motor_torque,
             "foot_wrench": self._foot_wrench,
         }
+        return {name: wp.to_torch(each) for name, each in arrays.items()}
 
     def snapshot(self) -> dict[str, torch.Tensor]:
         """See :meth:`Engine.snapshot`."""
@@ -327,4 +354,5 @@ class NewtonEngine:
     def restore(self, snapshot: dict[str, torch.Tensor]) -> None:
         """See :meth:`Engine.restore`."""
         take_over(snapshot, self._memory())
-        self.state = self._read()
+        self._gather()
+        self.state = self._told()

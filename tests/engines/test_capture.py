@@ -26,7 +26,7 @@ def test_captured_steps_are_the_uncaptured_ones(pattern: PatternNetwork, ground:
         task = get_task("flat")
         task.ground, task.physics.capture, task.pushes.force = ground, capture, 200.0
         engine = make_engine("newton", NUM_ENVS, "cpu", humanoid.motors(), task.physics, ground)
-        assert isinstance(engine, NewtonEngine) and (engine._graph is not None) == capture
+        assert isinstance(engine, NewtonEngine) and (engine._step_graph is not None) == capture
         environment = Environment(task, engine, pattern, seed=2)
         generator = torch.Generator().manual_seed(3)
         environment.step(torch.zeros(NUM_ENVS, 28))
