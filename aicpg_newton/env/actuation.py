@@ -19,7 +19,7 @@ from aicpg_newton.env.task import ImitationTask, ReflexTask, Task
 from aicpg_newton.env.view import View
 from aicpg_newton.gait.cpg import PatternNetwork, pd_torque
 from aicpg_newton.gait.poses import gait_start
-from aicpg_newton.robot.humanoid import NUM_JOINTS, Motors
+from aicpg_newton.robot.humanoid import CONTROL_DT, NUM_JOINTS, Motors
 from aicpg_newton.robot.kinematics import skeleton_on, sole_heights
 
 _Task = TypeVar("_Task", bound=Task)
@@ -54,6 +54,7 @@ class Actuation(Generic[_Task]):
     target: torch.Tensor | None = None
     """theta_t of the CPG [rad], shape [num_envs, 28], where there is one."""
     target_velocity: torch.Tensor | None = None
+    """Its rate over the coming control step [rad/s]; None from the end of a step until what comes is known."""
 
     def __init__(
         self, task: _Task, pattern: PatternNetwork, motors: Motors, num_envs: int, generator: torch.Generator
@@ -68,6 +69,9 @@ class Actuation(Generic[_Task]):
 
     def follow(self, phase: torch.Tensor, commands: Commands) -> None:
         """Take note of the rhythm generator's phase [rad], shape [num_envs], and of what the robots are told."""
+
+    def go_on(self) -> None:
+        """The rhythm generator has gone on by a control step, as it was told."""
 
     def command(self, actions: torch.Tensor, state: RobotState) -> MotorCommand:
         """Turn actions, shape [num_envs, 28], into what the engine is told, given the state before the step."""
@@ -122,14 +126,19 @@ class PatternActuation(TorqueActuation):
 
     blocks = (*BODY, *PATTERN)
     target: torch.Tensor
-    target_velocity: torch.Tensor
 
     def follow(self, phase: torch.Tensor, commands: Commands) -> None:
         """See :meth:`Actuation.follow`."""
         self.target, self.target_velocity = self.pattern.target(phase, commands.frequency)
 
+    def go_on(self) -> None:
+        """See :meth:`Actuation.go_on`: where the rate has led, for which S need not be asked again."""
+        assert self.target_velocity is not None
+        self.target, self.target_velocity = self.target + CONTROL_DT * self.target_velocity, None
+
     def command(self, actions: torch.Tensor, state: RobotState) -> MotorCommand:
         """See :meth:`Actuation.command`: tau = tau_g + tau_r."""
+        assert self.target_velocity is not None
         # Made anew, as torch.compile of torch 2.11 cannot hand out what _replace makes.
         return MotorCommand(self.target, self.target_velocity, super().command(actions, state).torque)
 

@@ -183,7 +183,8 @@ class Environment(VecEnv):
             given = {"action": actions, **command._asdict(), **({} if push is None else {"push": push})}
             self.bad_states.note(self.outcome.fault, {**before, **given})
         extras = {"time_outs": self.outcome.timed_out, "log": log}
-        self.reset(dones)
+        self._start_anew(dones)
+        self._follow()
         self._starts.grow_old(self.commands.frequency if self._changes is None else self._own_frequency)
         return self.get_observations(), reward, dones.to(torch.long), extras
 
@@ -205,7 +206,7 @@ class Environment(VecEnv):
             Rewards and whether the episode ended, each of shape [num_envs], and the log.
         """
         self.phase = advance_phase(self.phase, self.commands.frequency)
-        self.actuation.follow(self.phase, self.commands)
+        self.actuation.go_on()
         self.episode_length_buf = self.episode_length_buf + 1
         self._seen = None
         self.outcome = self._judge()
@@ -261,8 +262,13 @@ class Environment(VecEnv):
         """Take over what :meth:`command` was given since the last step."""
         if self._commands_to_come is not None:
             self.commands, self._commands_to_come = self._commands_to_come, None
-            self.actuation.follow(self.phase, self.commands)
             self._seen = None
+
+    def _follow(self) -> None:
+        """Targets of the coming step, once it is known what the robots are told and who begins anew."""
+        self.actuation.follow(self.phase, self.commands)
+        if self._seen is not None:
+            self._seen.target, self._seen.target_velocity = self.actuation.target, self.actuation.target_velocity
 
     def _view(self) -> View:
         """The robots as they are now; made anew only after they, their commands or their targets have changed."""
@@ -391,15 +397,19 @@ class Environment(VecEnv):
         Args:
             mask: Environments to reset, bool, shape [num_envs].
         """
+        self._start_anew(mask)
+        self._follow()
+
+    def _start_anew(self, mask: torch.Tensor) -> None:
+        """:meth:`reset`, but for the targets."""
         if self._seen_to_be_none(mask):
             return
         self.engine.reset(mask, self._begin(mask))
         self._seen = None
 
     def _begin(self, mask: torch.Tensor) -> BodyState:
-        """Phase, target and memory of the masked environments' new episodes; where all robots would start."""
+        """Phase and memory of the masked environments' new episodes; where all robots would start."""
         self.phase = torch.where(mask, self._starts.phase, self.phase)
-        self.actuation.follow(self.phase, self.commands)
         self.actuation.forget(mask)
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
         return self._starts.states(self.level)
@@ -430,8 +440,8 @@ class Environment(VecEnv):
         if self._changes is not None:
             self._changes.load_state_dict(state["changes"])
         self.actuation.torque = state["torque"]
-        self.actuation.follow(self.phase, self.commands)
         self._seen = None
+        self._follow()
 
     def _pushes(self) -> torch.Tensor | None:
         """Force on the torso for this step [N], shape [num_envs, 3]; None where nobody pushes."""
@@ -465,7 +475,7 @@ def _mean_of(values: torch.Tensor, among: torch.Tensor) -> torch.Tensor:
     return values.masked_fill(~among, 0.0).sum() / among.sum().clamp_min(1)
 
 
-_COMPILED = ("_ask", "_settle", "_begin", "_observe")
+_COMPILED = ("_ask", "_settle", "_begin", "_follow", "_observe")
 """What stands between two steps of the physics. A discriminator's observations are left as they are: the constants of
 their kinematics are kept in caches that :func:`torch.compile` looks behind."""
 

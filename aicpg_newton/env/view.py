@@ -88,7 +88,8 @@ class View(BodyView):
     target: torch.Tensor | None = None
     """theta_t of the CPG [rad], shape [num_envs, 28]; None where there is no CPG."""
     target_velocity: torch.Tensor | None = None
-    """Its rate [rad/s], shape [num_envs, 28]."""
+    """Its rate over the coming control step [rad/s], shape [num_envs, 28]; None when rewards are given, as what the
+    robots are told next is not known then."""
 
     def ground_below(self, point: torch.Tensor) -> torch.Tensor:
         """World height of the ground below points [m], shape [num_envs, 3] to [num_envs]."""
