@@ -129,8 +129,8 @@ class Environment(VecEnv):
         self._push_clock = self._uniform(0.0, max(task.pushes.interval, CONTROL_DT))
         self._asked_pushes: list[torch.Tensor] = []
         self._starts = Starts(task.resets, self.actuation, engine.terrain, self._generator)
-        self._sound = torch.ones((), dtype=torch.bool, device=self.device)
-        self.faults = FaultCount(self.device)
+        self._sound = torch.ones(n, dtype=torch.bool, device=self.device)
+        self.faults = FaultCount(n, self.device)
         """Simulations that went wrong."""
         self.bad_states: BadStates | None = None
         """Keeps what they began from, where one is put here; every step is then copied before it is taken."""
@@ -190,7 +190,7 @@ class Environment(VecEnv):
 
     def _ask(self, actions: torch.Tensor) -> MotorCommand:
         """What the engine is told; whether all actions were numbers is kept."""
-        self._sound = self._sound & torch.isfinite(actions).all()
+        self._sound = self._sound & (actions.abs().amax(dim=1) < math.inf)  # which NaN is not, either
         return self.actuation.command(actions, self.engine.state)
 
     def _settle(
@@ -233,7 +233,7 @@ class Environment(VecEnv):
         Raises:
             UserError: An action was not finite: the policy has diverged.
         """
-        if not bool(self._sound):
+        if not bool(self._sound.all()):
             raise UserError("the policy gave actions that are not finite; resume from an earlier checkpoint")
 
     def command(self, *, frequency: torch.Tensor | None = None, heading: torch.Tensor | None = None) -> None:
@@ -340,17 +340,18 @@ class Environment(VecEnv):
             log["Curriculum/level"] = self.level.float().mean()
         told, frequency = self.task.frequencies, self.outcome.commands.frequency
         third = (told.maximum - told.minimum) / 3.0
-        log["Speed/lowest_third_of_f"] = _mean_of(speed, frequency <= told.minimum + third)
-        log["Speed/highest_third_of_f"] = _mean_of(speed, frequency >= told.maximum - third)
-        return log
+        thirds = torch.stack((frequency <= told.minimum + third, frequency >= told.maximum - third))
+        lowest, highest = torch.where(thirds, speed, 0.0).sum(dim=1) / thirds.sum(dim=1).clamp_min(1)
+        return log | {"Speed/lowest_third_of_f": lowest, "Speed/highest_third_of_f": highest}
 
     def _note_ended(self, dones: torch.Tensor) -> None:
         """Means over the episodes that have just ended; where there are none, the last ones stay."""
         outcome = self.outcome
-        ends = torch.stack((outcome.fallen, outcome.diverged, outcome.off_course)).float()
+        ends = torch.stack((outcome.fallen, outcome.diverged, outcome.off_course, dones)).float()
         ended = torch.cat((self._episode_rewards / self._episode_steps, ends))
-        number = dones.sum()
-        means = ended.masked_fill(~dones, 0.0).sum(dim=1) / number.clamp_min(1)
+        sums = ended.masked_fill(~dones, 0.0).sum(dim=1)
+        number = sums[-1]
+        means = sums[:-1] / number.clamp_min(1.0)
         self._episode_means = torch.where(number > 0, means, self._episode_means)
         self._episode_rewards = self._episode_rewards.masked_fill(dones, 0.0)
         self._episode_steps = self._episode_steps.masked_fill(dones, 0.0)
@@ -428,6 +429,7 @@ class Environment(VecEnv):
         }
         return tree_map(lambda each: each.clone() if isinstance(each, torch.Tensor) else each, state)
 
+    @plain_tensors
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from a :meth:`state_dict` of an environment with the same task, engine and number of robots."""
         self._generator.set_state(state["generator"].cpu())
@@ -445,22 +447,21 @@ class Environment(VecEnv):
 
     def _pushes(self) -> torch.Tensor | None:
         """Force on the torso for this step [N], shape [num_envs, 3]; None where nobody pushes."""
-        own = self._random_pushes()
+        own = None
+        if self.task.pushes.force > 0.0:
+            own = self._push_on(torch.rand(self.num_envs, 3, generator=self._generator, device=self.device))
         if not self._asked_pushes:
             return own
         asked = self._asked_pushes.pop()
         return asked if own is None else own + asked
 
-    def _random_pushes(self) -> torch.Tensor | None:
-        """The task's own; None where it has none."""
+    def _push_on(self, drawn: torch.Tensor) -> torch.Tensor:
+        """The task's own pushes, given random numbers in [0, 1) for those that begin, shape [num_envs, 3]."""
         pushes = self.task.pushes
-        if pushes.force == 0.0:
-            return None
         half_a_step = 0.5 * CONTROL_DT  # so that rounding decides nothing
         due = self._push_clock >= pushes.interval - half_a_step
         self._push_clock = torch.where(due, 0.0, self._push_clock)
-        axes = [self._uniform(-pushes.force, pushes.force) for _ in range(3)]
-        self._push = torch.where(due.unsqueeze(1), torch.stack(axes, dim=1), self._push)
+        self._push = torch.where(due.unsqueeze(1), pushes.force * (2.0 * drawn - 1.0), self._push)
         active = self._push_clock < pushes.duration - half_a_step
         self._push_clock = self._push_clock + CONTROL_DT
         return self._push * active.unsqueeze(1)
@@ -470,12 +471,7 @@ class Environment(VecEnv):
         return low + (high - low) * torch.rand(self.num_envs, generator=self._generator, device=self.device)
 
 
-def _mean_of(values: torch.Tensor, among: torch.Tensor) -> torch.Tensor:
-    """Mean of the values in a mask, both of shape [num_envs]; 0 where it holds none."""
-    return values.masked_fill(~among, 0.0).sum() / among.sum().clamp_min(1)
-
-
-_COMPILED = ("_ask", "_settle", "_begin", "_follow", "_observe")
+_COMPILED = ("_ask", "_push_on", "_settle", "_begin", "_follow", "_observe")
 """What stands between two steps of the physics. A discriminator's observations are left as they are: the constants of
 their kinematics are kept in caches that :func:`torch.compile` looks behind."""
 

@@ -56,20 +56,21 @@ class FaultCount:
     """Counts robots whose simulation went wrong, by cause.
 
     Args:
+        num_envs: Number of robots.
         device: Where the counts are kept.
     """
 
-    def __init__(self, device: torch.device | str) -> None:
-        self._numbers = torch.arange(1, len(CAUSES) + 1, device=device)
-        self._counts = torch.zeros_like(self._numbers)
+    def __init__(self, num_envs: int, device: torch.device | str) -> None:
+        self._numbers = torch.arange(1, len(CAUSES) + 1, device=device).unsqueeze(1)
+        self._counts = torch.zeros(len(CAUSES), num_envs, dtype=torch.long, device=device)  # summed when asked for
 
     def note(self, cause: torch.Tensor) -> None:
         """Count what :func:`cause_of` found in a step."""
-        self._counts = self._counts + (cause.unsqueeze(1) == self._numbers).sum(dim=0)
+        self._counts = self._counts + (cause == self._numbers)
 
     def take(self) -> dict[str, int]:
         """The counts since the last time, by cause; on a GPU this waits for it."""
-        counts = dict(zip(CAUSES, self._counts.tolist(), strict=True))
+        counts = dict(zip(CAUSES, self._counts.sum(dim=1).tolist(), strict=True))
         self._counts = torch.zeros_like(self._counts)
         return counts
 

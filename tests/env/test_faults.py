@@ -32,7 +32,7 @@ def test_causes_in_order(random_state):
 
 def test_counts_and_their_sentence():
     """By cause, since the last time; nothing to say about nothing."""
-    count = FaultCount(torch.device("cpu"))
+    count = FaultCount(3, torch.device("cpu"))
     assert sentence(count.take()) == ""
     for cause in ([0, 4, 2], [1, 1, 0]):
         count.note(torch.tensor(cause))
