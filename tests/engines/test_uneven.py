@@ -189,7 +189,7 @@ def test_contacts_beyond_the_buffer_are_counted() -> None:
 
 def test_constraints_beyond_the_buffer_are_each_worlds_own() -> None:
     """Bits of buffers are kept over the physics steps of a control step, those of iterations are not."""
-    overflow, most = (wp.zeros(number, dtype=wp.int32, device="cpu") for number in (3, 2))
+    overflow, ever, most = (wp.zeros(number, dtype=wp.int32, device="cpu") for number in (3, 3, 2))
     for bits in ([0, 1, 8], [0, 0, 8]):
         given = wp.array(bits, dtype=wp.int32, device="cpu")
         inputs = [
@@ -198,8 +198,8 @@ def test_constraints_beyond_the_buffer_are_each_worlds_own() -> None:
             wp.array([4, 5, 6], dtype=wp.int32, device="cpu"),
             wp.array([9], dtype=wp.int32, device="cpu"),
         ]
-        wp.launch(kernels.note_buffers, dim=3, inputs=inputs, outputs=[overflow, most], device="cpu")
-    assert overflow.numpy().tolist() == [0, 1, 0] and most.numpy().tolist() == [6, 9]
+        wp.launch(kernels.note_buffers, dim=3, inputs=inputs, outputs=[overflow, ever, most], device="cpu")
+    assert overflow.numpy().tolist() == ever.numpy().tolist() == [0, 1, 0] and most.numpy().tolist() == [6, 9]
 
 
 @pytest.mark.parametrize(("triangles", "unbuffered", "unreduced"), [(5, 0, 0), (4, 1, 0), (4, 0, 1), (4, 0, 0)])
