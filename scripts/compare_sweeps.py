@@ -1,0 +1,84 @@
+"""Variants of one controller side by side: python scripts/compare_sweeps.py --sweeps FOLDER FOLDER --out picture.png.
+
+Each folder holds the sweep.csv of a variant, with as many seeds as there are; its name is the name of the variant. What
+``evaluate --redraw`` draws over speed, for methods, this draws over the stride frequency.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import cycle
+from pathlib import Path
+
+import tyro
+from matplotlib.figure import Figure
+
+from aicpg_newton.errors import UserError, run_command
+from aicpg_newton.evaluation import results
+from aicpg_newton.evaluation.protocols import SWEEP
+from aicpg_newton.figures.plotting import over_seeds
+from aicpg_newton.files import WholeFile
+
+PANELS = {
+    "survived": "share that stood for 20 s",
+    "speed_mps": "speed [m/s]",
+    "cost_of_transport": "cost of transport",
+    "symmetry_index": "symmetry index",
+}
+LOOKS = (("#b2182b", "o", "-"), ("#4393c3", "s", "--"), ("#1a6b32", "^", ":"), ("#000000", "D", "-."))
+
+
+@dataclass(kw_only=True)
+class CompareOptions:
+    """What to draw, and where to."""
+
+    sweeps: tuple[Path, ...]
+    """Folders, each with a sweep.csv."""
+    out: Path
+    """Picture, .png, which is drawn anew."""
+
+
+def draw(tables: dict[str, list[results.Row]]) -> Figure:
+    """Mean over seeds of each variant at each frequency; shaded: standard deviation over seeds, thin: each seed."""
+    figure = Figure(figsize=(11, 7.5), layout="constrained")
+    for axes, (column, title) in zip(figure.subplots(2, 2, sharex=True).flat, PANELS.items(), strict=True):
+        for (colour, marker, line), (name, rows) in zip(cycle(LOOKS), tables.items(), strict=False):
+            points = over_seeds(rows, rows[0]["method"], "frequency_hz", column)
+            look = {"color": colour, "marker": marker, "linestyle": line, "markersize": 4}
+            axes.plot(points.x, points.y, **look, label=f"{name}, {points.seeds} seeds")
+            low, high = points.y - points.y_spread, points.y + points.y_spread
+            axes.fill_between(points.x, low, high, color=colour, alpha=0.15, linewidth=0)
+            for seed in sorted({row["seed"] for row in rows}):
+                mine = [row for row in rows if row["seed"] == seed]
+                axes.plot(
+                    [row["frequency_hz"] for row in mine], [row[column] for row in mine], color=colour, linewidth=0.6
+                )
+        axes.set(title=title, ylim=(0.0, None))
+        axes.tick_params(labelbottom=True)
+        axes.grid(alpha=0.3)
+    figure.axes[0].legend(fontsize="small")
+    figure.supxlabel("stride frequency [Hz]", fontsize="medium")
+    return figure
+
+
+def main(options: CompareOptions) -> None:
+    """Draw.
+
+    Raises:
+        UserError: A folder holds no sweep, or the sweep of a controller that follows no frequency.
+    """
+    tables = {folder.name: results.read_table(folder, SWEEP.name) for folder in options.sweeps}
+    if len(tables) < len(options.sweeps):
+        raise UserError("two of the folders have the same name; rename one, as the names stand in the picture")
+    for name, rows in tables.items():
+        if not rows or any(row["condition"] for row in rows):
+            raise UserError(f"{name} holds no sweep over stride frequencies; give one of AI-CPG")
+    if options.out.suffix != ".png":
+        raise UserError(f"--out is {options.out}; give a name that ends in .png")
+    with WholeFile(options.out) as temporary:
+        draw(tables).savefig(temporary, dpi=100, format="png")
+    print(f"Figure: {options.out}")
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(CompareOptions, description=__doc__)))
