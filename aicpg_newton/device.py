@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, ParamSpec, TypeVar
+from typing import Any, Generic, Literal, ParamSpec, TypeVar
 
 import torch
 
@@ -126,6 +126,24 @@ def compile_methods(owner: object, names: Iterable[str]) -> None:
     for name in names:
         compiled = torch.compile(getattr(owner, name), fullgraph=True, dynamic=False, options=options)
         setattr(owner, name, torch_threads(1)(compiled))
+
+
+class MadeOnce(Generic[_Arguments, _Result]):
+    """A function whose result is kept for each set of arguments: tensors of a device that never change.
+
+    :func:`functools.cache` is one that :func:`torch.compile` looks behind, and makes the result anew in every call.
+    """
+
+    def __init__(self, function: Callable[_Arguments, _Result]) -> None:
+        self._function = function
+        self._made: dict[tuple, _Result] = {}
+        self.__doc__ = function.__doc__
+
+    def __call__(self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
+        """The result for these arguments, which have no names here."""
+        if arguments not in self._made:
+            self._made[arguments] = self._function(*arguments, **named)
+        return self._made[arguments]
 
 
 def plain_tensors(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:

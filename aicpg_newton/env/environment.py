@@ -144,6 +144,8 @@ class Environment(VecEnv):
         self._episode_rewards = torch.zeros(len(self._terms), n, device=self.device)
         self._compiled = compiled
         if compiled:
+            if self.actuation.style_blocks:
+                self._observe_style()  # makes the constants of its kinematics, which then are some to the compiler too
             engine.compile()
             compile_methods(self, _COMPILED)
         try:
@@ -364,14 +366,19 @@ class Environment(VecEnv):
         """
         seen = {"policy": self._observe()}
         if self.actuation.style_blocks:
-            view = self._view()
-            seen["style"] = observe(self.actuation.style_blocks, StyleView(view.state, view.ground_height))
-            self._drop_what_kernels_saw()
+            seen["style"] = self._observe_style()
         return TensorDict(seen, batch_size=[self.num_envs], device=self.device)
 
     def _observe(self) -> torch.Tensor:
         """What the network sees, shape [num_envs, size]."""
         seen = observe(self.blocks, self._view())
+        self._drop_what_kernels_saw()
+        return seen
+
+    def _observe_style(self) -> torch.Tensor:
+        """What a discriminator sees, shape [num_envs, 81]."""
+        view = self._view()
+        seen = observe(self.actuation.style_blocks, StyleView(view.state, view.ground_height))
         self._drop_what_kernels_saw()
         return seen
 
@@ -471,9 +478,8 @@ class Environment(VecEnv):
         return low + (high - low) * torch.rand(self.num_envs, generator=self._generator, device=self.device)
 
 
-_COMPILED = ("_ask", "_push_on", "_settle", "_begin", "_follow", "_observe")
-"""What stands between two steps of the physics. A discriminator's observations are left as they are: the constants of
-their kinematics are kept in caches that :func:`torch.compile` looks behind."""
+_COMPILED = ("_ask", "_push_on", "_settle", "_begin", "_follow", "_observe", "_observe_style")
+"""What stands between two steps of the physics."""
 
 _STATE = (
     "phase",

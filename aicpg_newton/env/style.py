@@ -9,10 +9,10 @@ state has 105 numbers, as it gives each three-hinge joint as tangent and normal.
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import torch
 
+from aicpg_newton.device import MadeOnce
 from aicpg_newton.engines.interface import BodyState
 from aicpg_newton.env.observations import Block, observe
 from aicpg_newton.env.view import BodyView, derived
@@ -51,7 +51,7 @@ class StyleView(BodyView):
         return positions[..., :2, :] + rotations.rotate(turned[..., :2, :], hand), positions[..., 2:, :]
 
 
-@cache
+@MadeOnce
 def _hand_centre(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
     return torch.tensor(HAND_CENTRE, device=device, dtype=dtype)
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import nn
 
+from aicpg_newton.device import MadeOnce
 from aicpg_newton.errors import UserError
 from aicpg_newton.places import ASSETS
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE, JOINT_NAMES, NUM_JOINTS
@@ -108,7 +108,7 @@ class Gait:
     """The same RMS for the joint with the largest one [rad]."""
 
 
-@cache
+@MadeOnce
 def _table(gaits: tuple[Gait, ...], name: str, device: torch.device, dtype: torch.dtype) -> torch.Tensor:
     """A field of all gaits as a tensor, shape [gaits, ...], made once for a device."""
     return torch.tensor([getattr(gait, name) for gait in gaits], device=device, dtype=dtype)

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import torch
 
+from aicpg_newton.device import MadeOnce
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import FOOT_NAMES, JOINT_NAMES, LINK_NAMES, MJCF_PATH, NUM_JOINTS
@@ -92,7 +93,7 @@ def skeleton() -> Skeleton:
     )
 
 
-@cache
+@MadeOnce
 def skeleton_on(device: torch.device, dtype: torch.dtype) -> Skeleton:
     """The same with its tensors on a device and of a type, made once."""
     tree = skeleton()
@@ -115,7 +116,7 @@ class _Tree:
     """Where each link stands when the levels are put one behind the other, shape [13]."""
 
 
-@cache
+@MadeOnce
 def _tree(device: torch.device, dtype: torch.dtype) -> _Tree:
     tree = skeleton()
     slots = [(*joints, *(NUM_JOINTS,) * (3 - len(joints))) for joints in tree.joints]
@@ -136,7 +137,7 @@ def _tree(device: torch.device, dtype: torch.dtype) -> _Tree:
     )
 
 
-@cache
+@MadeOnce
 def _places(links: tuple[str, ...], device: torch.device, dtype: torch.dtype) -> torch.Tensor:
     """Where links stand when the levels are put one behind the other, shape [len(links)]."""
     return _tree(device, dtype).place[torch.tensor([LINK_NAMES.index(name) for name in links], device=device)]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cache
 from typing import NamedTuple
 
 import torch
 
+from aicpg_newton.device import MadeOnce
 from aicpg_newton.robot.humanoid import JOINT_NAMES, LINK_NAMES
 
 
@@ -28,7 +28,7 @@ class Mirror(NamedTuple):
         return values[..., permutation] * sign
 
 
-@cache
+@MadeOnce
 def _tensors(mirror: Mirror, device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
     """Permutation and sign on a device, once: constants made anew each time would have a GPU wait for the host."""
     return torch.tensor(mirror.permutation, device=device), torch.tensor(mirror.sign, device=device, dtype=dtype)
