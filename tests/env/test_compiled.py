@@ -75,7 +75,7 @@ def assert_same_steps(plain: Environment, compiled: Environment, steps: int = 24
 def test_compiled_steps_are_the_plain_ones(pattern: PatternNetwork):
     """AI-CPG on a plane, with falls; compiled whole, or it would be refused.
 
-    Beside them two copies of the state are launched, after the physics and after a reset: 30 in all, of at most 40.
+    Beside them two copies of the state are launched, after the physics and after a reset; of 40 launches at most.
     """
     kernels = []
 
@@ -88,7 +88,7 @@ def test_compiled_steps_are_the_plain_ones(pattern: PatternNetwork):
         compiled.step(torch.zeros(NUM_ENVS, 28))
     matrix_products = len(kernels) - sum(kernels)
     print(f"{sum(kernels)} fused kernels and {matrix_products} matrix products a step and reset")
-    assert 15 < sum(kernels) <= 25 and matrix_products == 3
+    assert 15 < sum(kernels) <= 30 and matrix_products == 3  # 24, and 27 with torch 2.11
     assert_same_steps(plain, compiled)
 
 
