@@ -1,7 +1,8 @@
 """Variants of one controller side by side: python scripts/compare_sweeps.py --sweeps FOLDER FOLDER --out picture.png.
 
-Each folder holds the sweep.csv of a variant, with as many seeds as there are; its name is the name of the variant. What
-``evaluate --redraw`` draws over speed, for methods, this draws over the stride frequency.
+Each folder holds the sweep.csv of a variant, with as many seeds as there are; its name is the name of the variant.
+Controllers that follow no stride frequency are left out. What ``evaluate --redraw`` draws over speed, for methods, this
+draws over the stride frequency.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ class CompareOptions:
 
     sweeps: tuple[Path, ...]
     """Folders, each with a sweep.csv."""
+    names: tuple[str, ...] = ()
+    """What the variants are called, where the names of the folders do not tell."""
     out: Path
     """Picture, .png, which is drawn anew."""
 
@@ -45,7 +48,7 @@ def draw(tables: dict[str, list[results.Row]]) -> Figure:
         for (colour, marker, line), (name, rows) in zip(cycle(LOOKS), tables.items(), strict=False):
             points = over_seeds(rows, rows[0]["method"], "frequency_hz", column)
             look = {"color": colour, "marker": marker, "linestyle": line, "markersize": 4}
-            axes.plot(points.x, points.y, **look, label=f"{name}, {points.seeds} seeds")
+            axes.plot(points.x, points.y, **look, label=f"{name}, {points.seeds} seed{'s' if points.seeds > 1 else ''}")
             low, high = points.y - points.y_spread, points.y + points.y_spread
             axes.fill_between(points.x, low, high, color=colour, alpha=0.15, linewidth=0)
             for seed in sorted({row["seed"] for row in rows}):
@@ -67,11 +70,15 @@ def main(options: CompareOptions) -> None:
     Raises:
         UserError: A folder holds no sweep, or the sweep of a controller that follows no frequency.
     """
-    tables = {folder.name: results.read_table(folder, SWEEP.name) for folder in options.sweeps}
-    if len(tables) < len(options.sweeps):
-        raise UserError("two of the folders have the same name; rename one, as the names stand in the picture")
+    names = options.names or tuple(folder.name for folder in options.sweeps)
+    if len(names) != len(options.sweeps):
+        raise UserError(f"--names are {len(names)}, folders {len(options.sweeps)}; give a name for each, or none")
+    if len(set(names)) < len(names):
+        raise UserError("two of the folders have the same name; give --names, as they stand in the picture")
+    tables = {name: results.read_table(folder, SWEEP.name) for name, folder in zip(names, options.sweeps, strict=True)}
+    tables = {name: [row for row in rows if not row["condition"]] for name, rows in tables.items()}
     for name, rows in tables.items():
-        if not rows or any(row["condition"] for row in rows):
+        if not rows:
             raise UserError(f"{name} holds no sweep over stride frequencies; give one of AI-CPG")
     if options.out.suffix != ".png":
         raise UserError(f"--out is {options.out}; give a name that ends in .png")

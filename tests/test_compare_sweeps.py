@@ -31,5 +31,9 @@ def test_bad_input(tmp_path: Path):
     ):
         result = call("--sweeps", *folders, "--out", str(picture))
         assert result.returncode == 2 and said in result.stderr and "Traceback" not in result.stderr
+    assert (
+        "--names are 1, folders 2"
+        in call("--sweeps", "docs/eq7/ours", "docs/eq7/printed", "--names", "ours", "--out", str(picture)).stderr
+    )
     assert "ends in .png" in call("--sweeps", "docs/eq7/ours", "--out", str(tmp_path / "picture")).stderr
     assert list(tmp_path.iterdir()) == []
