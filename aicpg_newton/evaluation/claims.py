@@ -1,0 +1,139 @@
+"""Whether AI-CPG is better than the others at the same speed (paper, Sec. III-B), as far as seeds can tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aicpg_newton.env.methods import METHODS
+from aicpg_newton.evaluation.intervals import student
+from aicpg_newton.evaluation.results import Row
+
+OURS = METHODS["ai-cpg"].title
+"""The method that the others are compared with; its speed follows the stride frequency."""
+
+QUANTITIES = {
+    "cost_of_transport": "cost of transport",
+    "symmetry_index": "symmetry index",
+    "falls_per_minute": "falls a minute, pushed",
+}
+"""Columns that are compared: of all of them less is better."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One quantity of another controller beside AI-CPG's at the same speed."""
+
+    quantity: str
+    """A column of :data:`QUANTITIES`."""
+    other: str
+    """Method and condition, as ``PPO 2.5``."""
+    speed: float
+    """Mean speed of the other's seeds, at which AI-CPG is looked up [m/s]."""
+    ours: tuple[float, ...]
+    """AI-CPG's value at that speed, of each seed that reaches it."""
+    theirs: tuple[float, ...]
+    """The other's value, of each seed."""
+
+    @property
+    def difference(self) -> tuple[float, float]:
+        """AI-CPG's mean less the other's, and half its 95 % interval: NaN where either has fewer than two seeds.
+
+        Welch's interval (B. L. Welch, Biometrika 34, 1947), as seeds of the two methods differ by different amounts.
+        """
+        if not self.ours or not self.theirs:
+            return math.nan, math.nan
+        difference = float(np.mean(self.ours) - np.mean(self.theirs))
+        groups = (self.ours, self.theirs)
+        if min(map(len, groups)) < 2:
+            return difference, math.nan
+        squares = [float(np.var(each, ddof=1)) / len(each) for each in groups]
+        if sum(squares) == 0.0:
+            return difference, 0.0
+        degrees = sum(squares) ** 2 / sum(s**2 / (len(each) - 1) for s, each in zip(squares, groups, strict=True))
+        return difference, student(max(1, math.floor(degrees))) * math.sqrt(sum(squares))
+
+    @property
+    def verdict(self) -> str:
+        """What the seeds say, in words."""
+        difference, half = self.difference
+        if math.isnan(difference):
+            return "AI-CPG does not go at this speed"
+        if math.isnan(half):
+            return "too few seeds"
+        if abs(difference) <= half:
+            return "not told apart"
+        return "AI-CPG less" if difference < 0.0 else "AI-CPG more"
+
+
+def at_speed(rows: Iterable[Row], speed: float, column: str) -> float:
+    """Value of one AI-CPG controller at a speed, on straight lines between its stride frequencies.
+
+    Args:
+        rows: Its rows at all frequencies. Those in which over half of the robots fell within the trial say nothing.
+        speed: [m/s].
+        column: What is asked for.
+
+    Returns:
+        NaN outside of the speeds that it goes at.
+    """
+    known = [row for row in rows if row.get("survived", 1.0) >= 0.5 and math.isfinite(row[column])]
+    pairs = sorted((row["speed_mps"], row[column]) for row in known)
+    if not pairs or not pairs[0][0] <= speed <= pairs[-1][0]:
+        return math.nan
+    speeds, values = zip(*pairs, strict=True)
+    return float(np.interp(speed, speeds, values))
+
+
+def compare(sweep: Sequence[Row], disturbance: Sequence[Row]) -> list[Comparison]:
+    """All comparisons that two tables allow, by quantity and then by speed.
+
+    Args:
+        sweep: Rows of the sweep protocol, of any seeds.
+        disturbance: Rows of the disturbance protocol, or none.
+    """
+    found = []
+    for quantity in QUANTITIES:
+        rows = disturbance if quantity == "falls_per_minute" else sweep
+        mine = _by_seed(row for row in rows if row["method"] == OURS)
+        others = dict.fromkeys((row["method"], row["condition"]) for row in rows if row["condition"])
+        group = []
+        for method, condition in others:
+            theirs = _by_seed(row for row in rows if (row["method"], row["condition"]) == (method, condition))
+            speed = float(np.mean([row["speed_mps"] for each in theirs.values() for row in each]))
+            ours = [at_speed(each, speed, quantity) for each in mine.values()]
+            group.append(
+                Comparison(
+                    quantity=quantity,
+                    other=f"{method} {condition}",
+                    speed=speed,
+                    ours=tuple(value for value in ours if math.isfinite(value)),
+                    theirs=tuple(float(np.mean([row[quantity] for row in each])) for each in theirs.values()),
+                )
+            )
+        found += sorted(group, key=lambda each: each.speed)
+    return found
+
+
+def _by_seed(rows: Iterable[Row]) -> dict[float, list[Row]]:
+    """Rows of each seed."""
+    seeds: dict[float, list[Row]] = {}
+    for row in rows:
+        seeds.setdefault(row["seed"], []).append(row)
+    return seeds
+
+
+def table(comparisons: Iterable[Comparison]) -> str:
+    """The comparisons as a Markdown table: each seed's value, the difference of the means, and what it says."""
+    head = ("", "at [m/s]", "beside", "AI-CPG, each seed", "the other, each seed", "difference", "")
+    lines = [head, ("---",) * len(head)]
+    for each in comparisons:
+        difference, half = each.difference
+        told = "-" if math.isnan(difference) else f"{difference:+.2f}"
+        told += "" if math.isnan(half) else f" ± {half:.2f}"
+        values = (", ".join(f"{value:.2f}" for value in values) or "-" for values in (each.ours, each.theirs))
+        lines.append((QUANTITIES[each.quantity], f"{each.speed:.2f}", each.other, *values, told, each.verdict))
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -1,0 +1,78 @@
+"""AI-CPG beside others at the same speed, over seeds."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aicpg_newton.claims import ClaimOptions, main
+from aicpg_newton.errors import UserError
+from aicpg_newton.evaluation import claims
+from aicpg_newton.evaluation.results import Row
+
+
+def row(method: str, condition: str, seed: int, speed: float, cost: float, survived: float = 1.0) -> Row:
+    """A row of a sweep, with a symmetry index that is a tenth of the cost."""
+    told = {"method": method, "condition": condition, "seed": seed, "speed_mps": speed, "survived": survived}
+    return {**told, "cost_of_transport": cost, "symmetry_index": 0.1 * cost, "falls_per_minute": 10.0 * cost}
+
+
+def ours(seed: int, shift: float = 0.0) -> list[Row]:
+    """Cost rises by 0.1 a m/s from 1 to 3 m/s; at 0.5 m/s it falls."""
+    standing = [row(claims.OURS, "", seed, speed, 0.1 * speed + shift) for speed in (3.0, 1.0, 2.0)]
+    return [*standing, row(claims.OURS, "", seed, 0.5, 9.0, survived=0.4)]
+
+
+def test_values_between_frequencies():
+    """On straight lines, whatever the order of the rows; nothing beyond what it stands."""
+    assert claims.at_speed(ours(0), 1.5, "cost_of_transport") == pytest.approx(0.15)
+    assert claims.at_speed(ours(0), 3.0, "cost_of_transport") == pytest.approx(0.3)
+    assert math.isnan(claims.at_speed(ours(0), 0.7, "cost_of_transport"))
+    assert math.isnan(claims.at_speed(ours(0), 3.1, "cost_of_transport"))
+    assert math.isnan(claims.at_speed([], 1.0, "cost_of_transport"))
+
+
+def test_comparisons():
+    """At the mean speed of the other's seeds, by quantity and speed."""
+    rows = [each for seed in range(3) for each in ours(seed, 0.01 * seed)]
+    rows += [row("PPO", "2.5", seed, 2.4 + 0.1 * seed, 1.0 + 0.01 * seed) for seed in range(3)]
+    rows += [row("AMP", "walk", seed, 1.0 + 0.1 * seed, (0.05, 0.12, 0.2)[seed]) for seed in range(3)]
+    rows += [row("PPO", "4.0", 0, 4.0, 1.0)]
+    found = claims.compare(rows, rows)
+    assert [each.other for each in found] == ["AMP walk", "PPO 2.5", "PPO 4.0"] * 3
+    assert [each.quantity for each in found] == [name for name in claims.QUANTITIES for _ in range(3)]
+    walk, run, fast = found[:3]
+    assert run.speed == pytest.approx(2.5) and run.ours == pytest.approx((0.25, 0.26, 0.27))
+    difference, half = run.difference
+    assert difference == pytest.approx(-0.75)
+    # Equal spread 0.01 and three seeds each: four degrees of freedom.
+    assert half == pytest.approx(2.7764 * math.sqrt(2 * 0.01**2 / 3), rel=1e-3)
+    assert [each.verdict for each in found[:3]] == ["not told apart", "AI-CPG less", "AI-CPG does not go at this speed"]
+    assert walk.ours == pytest.approx((0.11, 0.12, 0.13)) and fast.ours == ()
+    assert found[7].theirs == pytest.approx((10.0, 10.1, 10.2))
+    assert claims.Comparison("cost_of_transport", "PPO 1", 1.0, (2.0, 2.1), (1.0, 1.1)).verdict == "AI-CPG more"
+    assert claims.Comparison("cost_of_transport", "PPO 1", 1.0, (2.0,), (1.0, 1.1)).verdict == "too few seeds"
+
+
+def test_the_interval_holds_as_often_as_it_says():
+    """Of two groups of three with the same mean and unlike spreads: 95 % of intervals hold 0, or a few more."""
+    random = np.random.default_rng(0)
+    held = 0
+    for _ in range(2000):
+        groups = (random.normal(1.0, 0.1, 3), random.normal(1.0, 0.4, 3))
+        difference, half = claims.Comparison("cost_of_transport", "PPO 1", 1.0, *map(tuple, groups)).difference
+        held += abs(difference) <= half
+    assert 0.94 < held / 2000 < 0.99
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """From the tables in the repository; one sentence where there is nothing to compare."""
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    found = main(ClaimOptions(results=(docs / "seeds",)))
+    printed = capsys.readouterr().out
+    assert len(printed.splitlines()) == 2 + len(found) and "| PPO 2.5 |" in printed
+    with pytest.raises(UserError, match="another method; give those of both"):
+        main(ClaimOptions(results=(docs / "flat_20_million",)))
+    with pytest.raises(UserError, match=r"there is no .*sweep.csv"):
+        main(ClaimOptions(results=(tmp_path,)))
