@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from aicpg_newton.device import cpu_cores, resolve_device, resolve_learner_device, torch_threads
+from aicpg_newton.device import (
+    MadeOnce,
+    cpu_cores,
+    plain_tensors,
+    resolve_device,
+    resolve_learner_device,
+    torch_threads,
+)
 from aicpg_newton.errors import UserError
 
 
@@ -122,3 +129,37 @@ def test_cores_are_found_where_the_system_does_not_say_which(monkeypatch: pytest
     assert 1 <= cpu_cores() <= (os.cpu_count() or 1)
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     assert cpu_cores() == (os.cpu_count() or 1)
+
+
+def test_plain_tensors_whatever_the_mode():
+    """What is kept in inference mode could not be changed outside of it; gradients are off all the same."""
+    weight = torch.ones(3, requires_grad=True)
+
+    @plain_tensors
+    def doubled(factor: float) -> torch.Tensor:
+        return factor * weight
+
+    with torch.inference_mode():
+        made = doubled(2.0)
+        assert torch.ones(1).is_inference()
+    assert not made.is_inference() and not made.requires_grad
+    assert not doubled(3.0).requires_grad and weight.mul(1.0).requires_grad
+    made += 1.0
+    assert made.tolist() == [3.0, 3.0, 3.0]
+
+
+def test_constants_are_made_once_for_each_device():
+    """And for each type; what they are called with tells them apart."""
+    calls = []
+
+    @MadeOnce
+    def constant(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
+        """Two."""
+        calls.append(dtype)
+        return torch.tensor(2.0, device=device, dtype=dtype)
+
+    cpu = torch.device("cpu")
+    assert constant(cpu, torch.float32) is constant(cpu, torch.float32)
+    assert constant(cpu, torch.float64).dtype == torch.float64
+    assert constant(torch.device("meta"), torch.float32).is_meta
+    assert calls == [torch.float32, torch.float64, torch.float32] and constant.__doc__ == "Two."
