@@ -116,13 +116,19 @@ def worth_compiling(choice: Compile, device: torch.device) -> bool:
     return choice == "on" or (choice == "auto" and device.type == "cuda" and find_spec("triton") is not None)
 
 
-def compile_methods(owner: object, names: Iterable[str]) -> None:
+def compile_methods(owner: object, names: Iterable[str], device: torch.device | str) -> None:
     """Make a few kernels of an object's methods; refused where one would wait for the device or leave the graph.
 
-    Concatenations become one kernel each, whatever is concatenated: the other way is a kernel for every part. They
-    always run on one torch thread, as torch compiles anew for another number of them.
+    They always run on one torch thread, as torch compiles anew for another number of them.
+
+    Args:
+        owner: Gets compiled methods in the place of its own.
+        names: Their names.
+        device: Where they run. On a GPU concatenations become one kernel each, whatever is concatenated, as there its
+            number counts; on a CPU that computes some of it several times.
     """
-    options: dict[str, Any] = {"force_pointwise_cat": True, "max_pointwise_cat_inputs": 64}
+    few: dict[str, Any] = {"force_pointwise_cat": True, "max_pointwise_cat_inputs": 64}
+    options = None if reading_is_free(device) else few
     for name in names:
         compiled = torch.compile(getattr(owner, name), fullgraph=True, dynamic=False, options=options)
         setattr(owner, name, torch_threads(1)(compiled))

@@ -95,7 +95,7 @@ class NewtonEngine:
 
     def compile(self) -> None:
         """See :meth:`Engine.compile`."""
-        compile_methods(self, ("_tell", "_ask_for_start"))
+        compile_methods(self, ("_tell", "_ask_for_start"), self.device)
 
     def _make_collisions(self, cell: float) -> newton.CollisionPipeline:
         """Newton's own collision detection, for uneven ground of cells of this size [m].

@@ -147,7 +147,7 @@ class Environment(VecEnv):
             if self.actuation.style_blocks:
                 self._observe_style()  # makes the constants of its kinematics, which then are some to the compiler too
             engine.compile()
-            compile_methods(self, _COMPILED)
+            compile_methods(self, _COMPILED, self.device)
         try:
             self.restart(self.commands.frequency)
         except Exception as error:  # a compiler that is not there, or does not work, raises many types

@@ -72,12 +72,13 @@ def assert_same_steps(plain: Environment, compiled: Environment, steps: int = 24
 
 
 @pytest.mark.slow
-def test_compiled_steps_are_the_plain_ones(pattern: PatternNetwork):
+def test_compiled_steps_are_the_plain_ones(pattern: PatternNetwork, monkeypatch: pytest.MonkeyPatch):
     """AI-CPG on a plane, with falls; compiled whole, or it would be refused.
 
     Beside them two copies of the state are launched, after the physics and after a reset; of 40 launches at most.
     """
     kernels = []
+    monkeypatch.setattr(device, "reading_is_free", lambda _: False)  # with the options for a GPU
 
     def count(nodes: list[BaseSchedulerNode]) -> list[BaseSchedulerNode]:
         kernels.extend(not isinstance(each, ExternKernelSchedulerNode) for each in nodes)
@@ -130,7 +131,7 @@ def test_on_a_gpu_unless_told_otherwise(monkeypatch: pytest.MonkeyPatch):
 def test_no_compiler(monkeypatch: pytest.MonkeyPatch, pattern: PatternNetwork):
     """One sentence that says what to do."""
 
-    def broken(owner, names):
+    def broken(owner, names, place):
         def fail(*_):
             raise RuntimeError("no working C++ compiler found\nand a long story")
 
