@@ -44,6 +44,7 @@ def recorded() -> tuple[Values, Values, torch.Tensor]:
             environment.commands,
         )
         target, rate = actuation.target, actuation.target_velocity
+        assert rate is not None
         inputs = {
             "root_position": state.root_position,
             "root_rotation": state.root_rotation.roll(1, dims=1),
