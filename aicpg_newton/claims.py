@@ -24,11 +24,12 @@ def main(options: ClaimOptions) -> list[claims.Comparison]:
     """Compare, and print the table.
 
     Raises:
-        UserError: A folder holds no sweep, or there is nothing to compare.
+        UserError: A folder holds no sweep, two hold the same training, or there is nothing to compare.
     """
-    sweep = [row for folder in options.results for row in results.read_table(folder, SWEEP.name)]
-    pushed = [folder for folder in options.results if (folder / f"{DISTURBANCE.name}.csv").exists()]
-    disturbance = [row for folder in pushed for row in results.read_table(folder, DISTURBANCE.name)]
+    missing = [folder for folder in options.results if not (folder / f"{SWEEP.name}.csv").exists()]
+    if missing:
+        raise UserError(f"there is no {missing[0] / SWEEP.name}.csv; run the sweep protocol first")
+    sweep, disturbance = (results.read_together(options.results, name) for name in (SWEEP.name, DISTURBANCE.name))
     comparisons = claims.compare(sweep, disturbance)
     if not any(row["method"] == claims.OURS for row in sweep) or not comparisons:
         raise UserError(f"the folders do not hold {claims.OURS} and another method; give those of both")

@@ -11,7 +11,8 @@ import tyro
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.evaluation.results import make_folder
 from aicpg_newton.figures import learning
-from aicpg_newton.files import WholeFile, write_text
+from aicpg_newton.figures.plotting import save
+from aicpg_newton.files import write_text
 from aicpg_newton.ranges import AT_LEAST_ONE, check_ranges
 
 NAME = "learning_curves"
@@ -52,9 +53,7 @@ def main(options: CurveOptions) -> list[Path]:
     make_folder(options.out)
     if options.runs:
         write_text(table, learning.as_csv(rows))
-    picture = table.with_suffix(".png")
-    with WholeFile(picture) as temporary:
-        learning.draw(rows).savefig(temporary, dpi=100, format="png")
+    picture = save(learning.draw(rows), table.with_suffix(".png"))
     print(f"Figure: {picture}")
     return [table, picture] if options.runs else [picture]
 

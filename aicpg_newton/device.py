@@ -146,7 +146,8 @@ class MadeOnce(Generic[_Arguments, _Result]):
         self.__doc__ = function.__doc__
 
     def __call__(self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
-        """The result for these arguments, which have no names here."""
+        """The result for these arguments, which have no names here: they would not tell results apart."""
+        assert not named
         if arguments not in self._made:
             self._made[arguments] = self._function(*arguments, **named)
         return self._made[arguments]

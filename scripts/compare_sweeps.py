@@ -17,8 +17,7 @@ from matplotlib.figure import Figure
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.protocols import SWEEP
-from aicpg_newton.figures.plotting import over_seeds
-from aicpg_newton.files import WholeFile
+from aicpg_newton.figures.plotting import STYLES, over_seeds, save
 
 PANELS = {
     "survived": "share that stood for 20 s",
@@ -26,7 +25,6 @@ PANELS = {
     "cost_of_transport": "cost of transport",
     "symmetry_index": "symmetry index",
 }
-LOOKS = (("#b2182b", "o", "-"), ("#4393c3", "s", "--"), ("#1a6b32", "^", ":"), ("#000000", "D", "-."))
 
 
 @dataclass(kw_only=True)
@@ -45,16 +43,19 @@ def draw(tables: dict[str, list[results.Row]]) -> Figure:
     """Mean over seeds of each variant at each frequency; shaded: standard deviation over seeds, thin: each seed."""
     figure = Figure(figsize=(11, 7.5), layout="constrained")
     for axes, (column, title) in zip(figure.subplots(2, 2, sharex=True).flat, PANELS.items(), strict=True):
-        for (colour, marker, line), (name, rows) in zip(cycle(LOOKS), tables.items(), strict=False):
+        for style, (name, rows) in zip(cycle(STYLES), tables.items(), strict=False):
             points = over_seeds(rows, rows[0]["method"], "frequency_hz", column)
-            look = {"color": colour, "marker": marker, "linestyle": line, "markersize": 4}
+            look = {"color": style.colour, "marker": style.marker, "linestyle": style.line, "markersize": 4}
             axes.plot(points.x, points.y, **look, label=f"{name}, {points.seeds} seed{'s' if points.seeds > 1 else ''}")
             low, high = points.y - points.y_spread, points.y + points.y_spread
-            axes.fill_between(points.x, low, high, color=colour, alpha=0.15, linewidth=0)
+            axes.fill_between(points.x, low, high, color=style.colour, alpha=0.15, linewidth=0)
             for seed in sorted({row["seed"] for row in rows}):
                 mine = [row for row in rows if row["seed"] == seed]
                 axes.plot(
-                    [row["frequency_hz"] for row in mine], [row[column] for row in mine], color=colour, linewidth=0.6
+                    [row["frequency_hz"] for row in mine],
+                    [row[column] for row in mine],
+                    color=style.colour,
+                    linewidth=0.6,
                 )
         axes.set(title=title, ylim=(0.0, None))
         axes.tick_params(labelbottom=True)
@@ -82,9 +83,7 @@ def main(options: CompareOptions) -> None:
             raise UserError(f"{name} holds no sweep over stride frequencies; give one of AI-CPG")
     if options.out.suffix != ".png":
         raise UserError(f"--out is {options.out}; give a name that ends in .png")
-    with WholeFile(options.out) as temporary:
-        draw(tables).savefig(temporary, dpi=100, format="png")
-    print(f"Figure: {options.out}")
+    print(f"Figure: {save(draw(tables), options.out)}")
 
 
 if __name__ == "__main__":

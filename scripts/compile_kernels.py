@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import time
 from collections import defaultdict
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +19,6 @@ import tyro
 import warp as wp
 from warp._src import context
 
-from aicpg_newton.engines import BodyState
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError, run_command
@@ -66,11 +65,9 @@ def modules_in_use(tasks: tuple[str, ...], num_envs: int) -> dict[wp.Module, set
         for name in tasks:
             task = get_task(name)
             task.physics.capture = False
-            engine = engine_for(task, "newton", num_envs, "cpu")
-            environment = Environment(task, engine, PatternNetwork.load())
+            # A new environment has reset all robots.
+            environment = Environment(task, engine_for(task, "newton", num_envs, "cpu"), PatternNetwork.load())
             environment.step(torch.zeros(num_envs, environment.num_actions))
-            start = BodyState(**{each.name: getattr(engine.state, each.name) for each in fields(BodyState)})
-            engine.reset(torch.ones(num_envs, dtype=torch.bool), start)
     finally:
         wp.launch, wp.launch_tiled = context.launch, context.launch_tiled = originals
     for module in context.user_modules.values():

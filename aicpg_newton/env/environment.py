@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -12,12 +12,13 @@ from tensordict import TensorDict
 from torch.utils._pytree import tree_map
 
 from aicpg_newton.device import compile_methods, plain_tensors, reading_is_free
-from aicpg_newton.engines import BodyState, Engine, RobotState, make_engine
+from aicpg_newton.engines import BodyState, Engine, make_engine
 from aicpg_newton.env.actuation import MotorCommand
 from aicpg_newton.env.commands import Commands, FrequencyChanges
 from aicpg_newton.env.faults import BadStates, FaultCount, cause_of
 from aicpg_newton.env.methods import get_method
 from aicpg_newton.env.observations import observe
+from aicpg_newton.env.outcome import StepOutcome
 from aicpg_newton.env.starts import Starts
 from aicpg_newton.env.stored import to_dict
 from aicpg_newton.env.style import StyleView
@@ -26,37 +27,6 @@ from aicpg_newton.env.view import View
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE, NUM_JOINTS
-
-
-@dataclass
-class StepOutcome:
-    """What a control step led to, before any environment was reset; each tensor has shape [num_envs, ...]."""
-
-    state: RobotState
-    """Robot state at the end of the step."""
-    phase: torch.Tensor
-    """Phase of the rhythm generator at the end of the step [rad], shape [num_envs]."""
-    commands: Commands
-    """What the robots were told in the step."""
-    torque: torch.Tensor
-    """Torque that the network asked for in the step [N m], shape [num_envs, 28]: of AI-CPG the reflex tau_r."""
-    ground_height: torch.Tensor
-    """World height of the ground below the pelvis [m], shape [num_envs]."""
-    reward_terms: dict[str, torch.Tensor]
-    """Weighted and scaled reward terms; zero where the robot fell."""
-    fallen: torch.Tensor
-    """Fell, or diverged."""
-    fault: torch.Tensor
-    """What is wrong with the simulation of this robot, from :func:`aicpg_newton.env.faults.cause_of`; 0 for nothing."""
-    off_course: torch.Tensor
-    """Turned too far from the target without falling."""
-    timed_out: torch.Tensor
-    """Reached the end of the episode or the edge of the terrain, without failing."""
-
-    @property
-    def diverged(self) -> torch.Tensor:
-        """Whether the simulation of a robot has gone wrong, bool, shape [num_envs]."""
-        return self.fault > 0
 
 
 class Environment(VecEnv):

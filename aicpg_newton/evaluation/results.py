@@ -119,6 +119,28 @@ def read_table(folder: Path, name: str) -> list[Row]:
         raise UserError(f"{path} holds a cell that is not a number ({error}); evaluate again") from error
 
 
+def read_together(folders: Iterable[Path], name: str) -> list[Row]:
+    """Rows of a protocol from all folders that hold it.
+
+    Raises:
+        UserError: As :func:`read_table`, or two folders hold the same training.
+    """
+    rows: list[Row] = []
+    seen: set[tuple] = set()
+    for folder in folders:
+        if not (folder / f"{name}.csv").exists():
+            continue
+        new = read_table(folder, name)
+        keys = {(row["method"], row.get("condition", ""), row["seed"]) for row in new}
+        if keys & seen:
+            method, condition, seed = min(keys & seen)
+            who = f"{method} {condition}".strip()
+            raise UserError(f"two of the folders hold {name} results of {who}, seed {seed:g}; give one at a time")
+        seen |= keys
+        rows += new
+    return rows
+
+
 def read_description(folder: Path, name: str) -> dict[str, Any]:
     """Content of a protocol's JSON file.
 

@@ -41,12 +41,12 @@ from aicpg_newton.figures.plotting import (
     draw_points,
     methods,
     over_seeds,
+    save,
     say_if_empty,
     slug,
 )
 from aicpg_newton.figures.terrain import trajectories_figure, walking_and_running_figure
 from aicpg_newton.figures.transition import speed_and_froude_figure, transition_figure
-from aicpg_newton.files import WholeFile
 from aicpg_newton.robot.humanoid import GRAVITY
 
 _TRANSITION_SPEED = 2.0  # of people [m/s]
@@ -66,22 +66,13 @@ def draw_all(folders: Sequence[Path], out: Path) -> list[Path]:
     Raises:
         UserError: There are no results, two folders hold the same training, or they are of different ground.
     """
-    tables: dict[str, list[Row]] = {name: [] for name in PROTOCOLS}
+    tables = {name: results.read_together(folders, name) for name in PROTOCOLS}
     details: dict[str, dict[tuple[str, int], dict]] = {name: {} for name in PROTOCOLS}
     grounds = []
-    for name, rows in tables.items():
-        seen: set[tuple] = set()
+    for name in tables:
         for folder in folders:
             if not (folder / f"{name}.csv").exists():
                 continue
-            new = results.read_table(folder, name)
-            keys = {(row["method"], row.get("condition", ""), row["seed"]) for row in new}
-            if keys & seen:
-                method, condition, seed = min(keys & seen)
-                who = f"{method} {condition}".strip()
-                raise UserError(f"two of the folders hold {name} results of {who}, seed {seed:g}; draw one at a time")
-            seen |= keys
-            rows += new
             description = results.read_description(folder, name)
             grounds.append(next((each.get("ground") for each in description["controllers"]), None))
             if not all(
@@ -131,9 +122,7 @@ def _draw(
 
 def _save(figure: Figure, path: Path) -> Path:
     results.make_folder(path.parent)
-    with WholeFile(path) as temporary:
-        figure.savefig(temporary, dpi=100, format="png")
-    return path
+    return save(figure, path)
 
 
 def human_walking_cost(speed: np.ndarray) -> np.ndarray:

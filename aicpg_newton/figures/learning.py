@@ -16,6 +16,7 @@ from aicpg_newton.env.methods import condition, get_method
 from aicpg_newton.env.registry import task_from_dict
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation.results import Row
+from aicpg_newton.figures.plotting import STYLES
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.robot.humanoid import CONTROL_DT
 from aicpg_newton.texts import number, read_text
@@ -31,8 +32,6 @@ CURVES = {
 _TEXT = ("task", "method", "condition")
 COLUMNS = (*_TEXT, "seed", "iteration", "samples", *CURVES)
 """What the table holds, a row for each stretch of a run; iteration and samples are those at its end."""
-
-_COLOURS = ("#b2182b", "#1a6b32", "#4393c3", "#6a3d9a", "#8c6d1f", "#000000")
 
 
 def read_run(folder: Path, points: int) -> list[Row]:
@@ -130,14 +129,14 @@ def draw(rows: Sequence[Row]) -> Figure:
     for row in rows:
         groups.setdefault(_title(row), {}).setdefault(row["seed"], []).append(row)
     for axes, (name, (_, _, title)) in zip(figure.subplots(2, 2, sharex=True).flat, CURVES.items(), strict=True):
-        for colour, (label, seeds) in zip(cycle(_COLOURS), groups.items(), strict=False):
+        for style, (label, seeds) in zip(cycle(STYLES), groups.items(), strict=False):
             lines = [([row["samples"] / 1e6 for row in run], [row[name] for row in run]) for run in seeds.values()]
             for x, y in lines:
-                axes.plot(x, y, color=colour, linewidth=0.8, alpha=0.5 if len(lines) > 1 else 1.0)
+                axes.plot(x, y, color=style.colour, linewidth=0.8, alpha=0.5 if len(lines) > 1 else 1.0)
             common = np.linspace(max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines), 200)
             mean = np.mean([np.interp(common, x, y) for x, y in lines], axis=0)
             number_of = f"{len(lines)} seed{'s' if len(lines) > 1 else ''}"
-            axes.plot(common, mean, color=colour, linewidth=2.0, label=f"{label}, {number_of}")
+            axes.plot(common, mean, color=style.colour, linewidth=2.0, label=f"{label}, {number_of}")
         axes.set(title=title, ylim=(0.0, None))
         axes.grid(alpha=0.3)
         axes.tick_params(labelbottom=True)

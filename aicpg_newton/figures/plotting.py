@@ -6,13 +6,16 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from aicpg_newton.env.methods import METHODS
 from aicpg_newton.evaluation.results import Row
+from aicpg_newton.files import WholeFile
 
 REFERENCE = {"color": "0.45", "linewidth": 1.2}
 """Look of everything that is not a result."""
@@ -38,6 +41,10 @@ _OTHERS = (
     Style("#8c6d1f", "v", (0, (5, 1)), "\\\\"),
     Style("#6a3d9a", "P", (0, (1, 3)), "oo"),
 )
+
+
+STYLES = (*_STYLES.values(), *_OTHERS)
+"""Looks for whatever is no method, in the order in which they are to be taken."""
 
 
 @dataclass(frozen=True)
@@ -164,3 +171,10 @@ def say_if_empty(axes: Axes, rows: Iterable[Row], y: str) -> None:
     reasons = sorted({reason for row in rows for reason in row["reason"].split("; ") if reason})
     text = "no values:\n" + "\n".join(reasons or ["this protocol was not run"])
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", wrap=True, color="0.2")
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG, whole or not at all; its folder has to be there."""
+    with WholeFile(path) as temporary:
+        figure.savefig(temporary, dpi=100, format="png")
+    return path

@@ -9,7 +9,8 @@ import torch
 from tensordict import TensorDict
 
 from aicpg_newton.device import torch_threads
-from aicpg_newton.env.environment import Environment, StepOutcome, engine_for
+from aicpg_newton.env.environment import Environment, engine_for
+from aicpg_newton.env.outcome import StepOutcome
 from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.robot.humanoid import CONTROL_RATE

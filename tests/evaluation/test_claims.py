@@ -74,5 +74,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert len(printed.splitlines()) == 2 + len(found) and "| PPO 2.5 |" in printed
     with pytest.raises(UserError, match="another method; give those of both"):
         main(ClaimOptions(results=(docs / "flat_20_million",)))
+    with pytest.raises(UserError, match="two of the folders hold sweep results of AI-CPG, seed 0; give one at a time"):
+        main(ClaimOptions(results=(docs / "seeds", docs / "flat_20_million")))
     with pytest.raises(UserError, match=r"there is no .*sweep.csv"):
         main(ClaimOptions(results=(tmp_path,)))
