@@ -59,7 +59,7 @@ class Protocol:
     every_terrain: bool = False
     """Whether it is done on the terrain of every seed; other protocols use the first."""
     intervals: tuple[str, ...] = ()
-    """Columns whose certainty has columns as well; see :meth:`interval_columns`."""
+    """Columns whose certainty has columns as well; see :meth:`further_columns`."""
     commanded_speeds: int = 0
     """Number of speeds to command in place of ``frequencies``, evenly spread over those of the seed's own sweep."""
 
@@ -74,16 +74,18 @@ class Protocol:
         return self.commanded_speeds or len(self.frequencies)
 
     @property
-    def interval_columns(self) -> tuple[str, ...]:
-        """How many environments a row is from, and the 95 % interval over them of each measure.
+    def further_columns(self) -> tuple[str, ...]:
+        """How many environments a row is from, the 95 % interval over them of each measure, and the kind of falls.
 
-        ``survived`` has its ends, the others half its width. Results of earlier versions lack these columns.
+        ``survived`` has the interval's ends, the others half its width; of ``falls_per_minute`` it is told how many are
+        robots that turned away. Results of earlier versions lack some of these columns.
         """
         if not self.intervals:
             return ()
         halves = (f"{name}_ci95" for name in self.intervals if name != "survived")
         ends = ("survived_low", "survived_high") if "survived" in self.intervals else ()
-        return ("environments", *halves, *ends)
+        turned = ("turned_away_per_minute",) if "falls_per_minute" in self.intervals else ()
+        return ("environments", *halves, *ends, *turned)
 
     @property
     def turns_the_frequency(self) -> bool:

@@ -74,16 +74,16 @@ def write(folder: Path, name: str, rows: Sequence[Row], description: dict[str, A
         rows: One entry per line, with the protocol's columns.
         description: Where the numbers come from, and the summary; numbers that are not finite become null.
     """
-    needs, intervals = PROTOCOLS[name].columns, PROTOCOLS[name].interval_columns
+    needs, further = PROTOCOLS[name].columns, PROTOCOLS[name].further_columns
     lines = [
-        {**{column: _cell(row[column]) for column in needs}, **{column: _cell(row.get(column)) for column in intervals}}
+        {**{column: _cell(row[column]) for column in needs}, **{column: _cell(row.get(column)) for column in further}}
         for row in rows
     ]
     for line in lines:
         needed = [line[column] for column in needs if column not in ("reason", *_TOLD)]
         assert line["reason"] or (all(needed) and any(line.get(column) for column in _TOLD)), line
     table = io.StringIO(newline="")
-    writer = csv.DictWriter(table, (*needs, *intervals), lineterminator="\n")
+    writer = csv.DictWriter(table, (*needs, *further), lineterminator="\n")
     writer.writeheader()
     writer.writerows(lines)
     write_text(folder / f"{name}.csv", table.getvalue())
@@ -91,7 +91,7 @@ def write(folder: Path, name: str, rows: Sequence[Row], description: dict[str, A
 
 
 def read_table(folder: Path, name: str) -> list[Row]:
-    """Rows of a protocol's CSV file, numbers as floats and empty cells as NaN; so are intervals that were never there.
+    """Rows of a protocol's CSV file, numbers as floats and empty cells as NaN; so are further columns that are missing.
 
     Raises:
         UserError: The file is missing, has other columns, or a cell that is no number.
@@ -101,10 +101,11 @@ def read_table(folder: Path, name: str) -> list[Row]:
         raise UserError(f"there is no {path}; run the {name} protocol first")
     try:
         reader = csv.DictReader(io.StringIO(read_text(path), newline=""), strict=True)
-        columns, intervals = PROTOCOLS[name].columns, PROTOCOLS[name].interval_columns
-        if tuple(reader.fieldnames or ()) not in (columns, (*columns, *intervals)):
+        columns, further = PROTOCOLS[name].columns, PROTOCOLS[name].further_columns
+        found = tuple(reader.fieldnames or ())
+        if found[: len(columns)] != columns or not set(found[len(columns) :]) <= set(further):
             raise UserError(f"{path} does not have the columns of the {name} protocol; evaluate again")
-        rows = [{**dict.fromkeys(intervals, ""), **row} for row in reader]
+        rows = [{**dict.fromkeys(further, ""), **row} for row in reader]
     except csv.Error as error:
         raise UserError(f"{path} is no CSV file ({error}); evaluate again") from error
     for row in rows:

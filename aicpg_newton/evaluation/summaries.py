@@ -84,12 +84,18 @@ def sole_measures(trajectories: Trajectories) -> dict[str, torch.Tensor]:
     return {"sole_penetration_m": depth, "sole_hover_m": hover}
 
 
-def falls(fallen: torch.Tensor) -> Row:
-    """Falls per minute, and how certain that is, of some environments, shape [time, num_envs]."""
+def falls(fallen: torch.Tensor, turned: torch.Tensor) -> Row:
+    """Falls per minute of some environments, how certain that is, and how many were turnings away.
+
+    Args:
+        fallen: Where an episode ended with a fall of either kind, bool, shape [time, num_envs].
+        turned: Where it ended as the robot had turned away.
+    """
     minutes = len(fallen) * CONTROL_DT / 60.0
     return {
         "falls_per_minute": mean(metrics.falls_per_minute(fallen)),
         "falls_per_minute_ci95": intervals.half_width_of_rate(fallen.sum(dim=0).tolist(), minutes),
+        "turned_away_per_minute": mean(metrics.falls_per_minute(turned)),
         "environments": fallen.shape[1],
     }
 
@@ -115,7 +121,7 @@ def steady_row(trajectories: Trajectories, frequency: float, source: Source) -> 
         **{name: mean(values) for name, values in sole_measures(trajectories).items()},
         "froude": float(froude_number(torch.tensor(speed))),
         "survived": float(stood.float().mean()),
-        **falls(trajectories.fallen),
+        **falls(trajectories.fallen, trajectories.turned),
         "reason": "; ".join(reasons),
         **{f"{name}_ci95": intervals.half_width(values.tolist()) for name, values in each.items()},
         "survived_low": low,
@@ -152,7 +158,7 @@ def disturbance_rows(
                 **source.row(frequency),
                 "iteration": source.iteration,
                 "speed_mps": float(speed),
-                **falls(trajectories.fallen[:, mine]),
+                **falls(trajectories.fallen[:, mine], trajectories.turned[:, mine]),
                 "reason": "no environment ever walked for more than a second" if math.isnan(float(speed)) else "",
             }
         )

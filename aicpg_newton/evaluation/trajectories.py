@@ -56,6 +56,8 @@ class Trajectories:
     """Whether each foot is on the ground (right, left), bool, [..., 2]."""
     fallen: torch.Tensor
     """Whether the episode ended in this step with a fall, bool."""
+    turned: torch.Tensor
+    """Whether that fall was a turning away, bool."""
     ended: torch.Tensor
     """Whether the episode ended in this step, with a fall or at the edge of the terrain, bool."""
     age: torch.Tensor
@@ -114,6 +116,7 @@ def record(
         power=empty(),
         contact=empty(2, dtype=torch.bool),
         fallen=empty(dtype=torch.bool),
+        turned=empty(dtype=torch.bool),
         ended=empty(dtype=torch.bool),
         age=empty(dtype=torch.long),
         speed=empty(),
@@ -133,6 +136,7 @@ def record(
         kept.power[step] = metrics.mechanical_power(outcome.state.joint_torque, outcome.state.joint_velocity)
         kept.contact[step] = feet_on_ground(outcome.state.foot_force)
         kept.ground_height[step] = outcome.ground_height
+        kept.turned[step] = outcome.off_course
         kept.fallen[step] = outcome.fallen | outcome.off_course
         kept.ended[step] = kept.fallen[step] | outcome.timed_out
         kept.age[step] = age

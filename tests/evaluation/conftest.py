@@ -19,6 +19,7 @@ def glider(puppet):
             super().__init__(num_envs, terrain)
             self.ticks = 0
             self.fall_at: dict[int, int] = {}  # environment to step
+            self.turn_at: dict[int, int] = {}
             self.pushed: list[torch.Tensor | None] = []
 
         def swing(self) -> torch.Tensor:
@@ -38,6 +39,10 @@ def glider(puppet):
             for env, step in self.fall_at.items():
                 if step == self.ticks:
                     position[env, 2] = 0.3
+            rotation = torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(self.num_envs, 1)
+            for env, step in self.turn_at.items():
+                if step == self.ticks:
+                    rotation[env] = torch.tensor([0.0, 0.0, 1.0, 0.0])  # backwards
             self.ticks += 1
             force = torch.zeros(self.num_envs, 2, 3)
             # A stride of 60 steps; each foot stands for 24, so 2 x 6 steps are flight.
@@ -48,7 +53,7 @@ def glider(puppet):
             self.state = replace(
                 self.state,
                 root_position=position,
-                root_rotation=torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(self.num_envs, 1),
+                root_rotation=rotation,
                 joint_position=self.swing().expand(self.num_envs, -1),
                 joint_velocity=power / 25.0,
                 joint_torque=power,

@@ -191,7 +191,7 @@ def test_everything_falls_at_once(glider, pattern):
 def test_a_disturbance_pushes_in_a_tenth_of_every_second(glider, pattern):
     """Forces on all axes, up to 200 N, in 6 steps of 60; falls per minute over all episodes."""
     engine = glider(4)
-    engine.fall_at = {0: 100, 1: 200}
+    engine.fall_at, engine.turn_at = {0: 100, 1: 200}, {1: 300}
     protocol = replace(DISTURBANCE, duration=10.0, frequencies=(0.8, 1.2))
     trajectories = run(protocol, engine, pattern)
     force = torch.stack([push for push in engine.pushed if push is not None])
@@ -199,7 +199,8 @@ def test_a_disturbance_pushes_in_a_tenth_of_every_second(glider, pattern):
     assert ((force != 0).any(dim=2).sum(dim=0) - 60).abs().max() <= 6
     assert 150.0 < force.abs().max() <= 200.0 and (force.abs().amax(dim=(0, 1)) > 100.0).all()
     rows, _ = summaries.disturbance_rows(trajectories, torch.tensor([0.8, 1.2]), SOURCE)
-    assert [row["falls_per_minute"] for row in rows] == pytest.approx([6.0, 0.0])
+    assert [row["falls_per_minute"] for row in rows] == pytest.approx([9.0, 0.0])
+    assert [row["turned_away_per_minute"] for row in rows] == pytest.approx([3.0, 0.0])
     assert rows[1]["speed_mps"] == pytest.approx(2.25, rel=1e-3) and rows[0]["iteration"] == 100
 
 

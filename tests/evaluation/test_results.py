@@ -32,7 +32,7 @@ def test_what_is_written_is_read(tmp_path: Path):
     write(folder, [row(speed_mps=1.23456789), row(cost_of_transport=math.nan, froude=None, reason="no motion; no way")])
     with (folder / "sweep.csv").open() as file:
         lines = list(csv.reader(file))
-    assert tuple(lines[0]) == (*SWEEP.columns, *SWEEP.interval_columns) and len(lines) == 3
+    assert tuple(lines[0]) == (*SWEEP.columns, *SWEEP.further_columns) and len(lines) == 3
     assert lines[1][SWEEP.columns.index("speed_mps")] == "1.23457"
     assert lines[1][SWEEP.columns.index("seed")] == "1"
     assert lines[2][SWEEP.columns.index("cost_of_transport")] == ""
@@ -42,13 +42,21 @@ def test_what_is_written_is_read(tmp_path: Path):
     assert math.isnan(second["froude"]) and second["reason"] == "no motion; no way"
 
 
-def test_intervals_have_columns_and_may_be_missing(tmp_path: Path):
-    """They are read where they are there; a table of an earlier version has none."""
-    write(tmp_path, [row(environments=32, speed_mps_ci95=0.02, survived_low=0.89)])
+def test_further_columns_may_be_missing(tmp_path: Path):
+    """They are read where they are there; tables of earlier versions have some or none, and other columns are refused."""
+    write(tmp_path, [row(environments=32, speed_mps_ci95=0.02, survived_low=0.89, turned_away_per_minute=0.5)])
     path = tmp_path / "sweep.csv"
     (read,) = results.read_table(tmp_path, "sweep")
     assert (read["environments"], read["speed_mps_ci95"], read["survived_low"]) == (32, 0.02, 0.89)
-    assert math.isnan(read["survived_high"])
+    assert math.isnan(read["survived_high"]) and read["turned_away_per_minute"] == 0.5
+    whole = path.read_text()
+    path.write_text("\n".join(line.rpartition(",")[0] for line in whole.splitlines()) + "\n")
+    (read,) = results.read_table(tmp_path, "sweep")
+    assert read["survived_low"] == 0.89 and math.isnan(read["turned_away_per_minute"])
+    path.write_text(whole.replace("survived_low", "survived_somehow"))
+    with pytest.raises(UserError, match="does not have the columns"):
+        results.read_table(tmp_path, "sweep")
+    path.write_text(whole)
     cells = [line.split(",")[: len(SWEEP.columns)] for line in path.read_text().splitlines()]
     path.write_text("\n".join(map(",".join, cells)) + "\n")
     (read,) = results.read_table(tmp_path, "sweep")
