@@ -116,7 +116,7 @@ def worth_compiling(choice: Compile, device: torch.device) -> bool:
     return choice == "on" or (choice == "auto" and device.type == "cuda" and find_spec("triton") is not None)
 
 
-def compile_methods(owner: object, names: Iterable[str], device: torch.device | str) -> None:
+def compile_methods(owner: object, names: Iterable[str], device: torch.device | str, *, repeated: int = 2) -> None:
     """Make a few kernels of an object's methods; refused where one would wait for the device or leave the graph.
 
     They always run on one torch thread, as torch compiles anew for another number of them.
@@ -126,8 +126,15 @@ def compile_methods(owner: object, names: Iterable[str], device: torch.device | 
         names: Their names.
         device: Where they run. On a GPU concatenations become one kernel each, whatever is concatenated, as there its
             number counts; on a CPU that computes some of it several times.
+        repeated: On a GPU values up to this many times the usual length, or read up to this many times as often, are
+            computed wherever they are read, and not by a kernel of their own. Kernels then take longer to compile.
     """
-    few: dict[str, Any] = {"force_pointwise_cat": True, "max_pointwise_cat_inputs": 64}
+    few: dict[str, Any] = {
+        "force_pointwise_cat": True,
+        "max_pointwise_cat_inputs": 64,
+        "realize_reads_threshold": 4 * repeated,
+        "realize_opcount_threshold": 30 * repeated,
+    }
     options = None if reading_is_free(device) else few
     for name in names:
         compiled = torch.compile(getattr(owner, name), fullgraph=True, dynamic=False, options=options)

@@ -116,6 +116,7 @@ class Environment(VecEnv):
         if compiled:
             if self.actuation.style_blocks:
                 self._observe_style()  # makes the constants of its kinematics, which then are some to the compiler too
+                compile_methods(self, ("_observe_style",), self.device, repeated=4)  # a chain of many rotations
             engine.compile()
             compile_methods(self, _COMPILED, self.device)
         try:
@@ -448,7 +449,7 @@ class Environment(VecEnv):
         return low + (high - low) * torch.rand(self.num_envs, generator=self._generator, device=self.device)
 
 
-_COMPILED = ("_ask", "_push_on", "_settle", "_begin", "_follow", "_observe", "_observe_style")
+_COMPILED = ("_ask", "_push_on", "_settle", "_begin", "_follow", "_observe")
 """What stands between two steps of the physics."""
 
 _STATE = (
