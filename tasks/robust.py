@@ -28,6 +28,6 @@ def robust() -> Task:
     )
     # At the paper's weight of 1 a longer training trades the imitated gait for speed: goose steps, 2.9 m/s at 0.9 Hz.
     task.rewards["target_velocity"].weight = 0.4
-    # At that weight and in slow walking R_d hardly asks to turn back after a push, and turned away is as good as fallen.
+    # In slow walking that hardly asks to turn back after a push, and turned away is as good as fallen.
     task.rewards["facing"] = RewardTerm(facing, 2.0)
     return task

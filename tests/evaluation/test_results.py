@@ -43,7 +43,7 @@ def test_what_is_written_is_read(tmp_path: Path):
 
 
 def test_further_columns_may_be_missing(tmp_path: Path):
-    """They are read where they are there; tables of earlier versions have some or none, and other columns are refused."""
+    """They are read where they are there: earlier versions had some of them or none. Other columns are refused."""
     write(tmp_path, [row(environments=32, speed_mps_ci95=0.02, survived_low=0.89, turned_away_per_minute=0.5)])
     path = tmp_path / "sweep.csv"
     (read,) = results.read_table(tmp_path, "sweep")
