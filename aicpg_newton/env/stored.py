@@ -41,6 +41,8 @@ def plain(value: Any) -> Any:
 def updated(settings: _Settings, content: Any, source: str) -> _Settings:
     """Settings with the values of :func:`to_dict`; those that it does not hold stay as they are.
 
+    But where it holds reward terms, one that is not among them had no weight.
+
     Args:
         settings: A task, or a part of one.
         content: Nested dictionary.
@@ -81,7 +83,10 @@ def updated(settings: _Settings, content: Any, source: str) -> _Settings:
 def _updated_entries(own: dict[str, Any], content: Any, title: str, source: str) -> dict[str, Any]:
     """Entries of a dictionary: reward terms by name, or the parameters of one."""
     _refuse_unknown(content, set(own), title, source)
-    values = dict(own)
+    values = {
+        name: dataclasses.replace(each, weight=0.0) if isinstance(each, RewardTerm) else each
+        for name, each in own.items()
+    }
     for name, value in content.items():
         if isinstance(own[name], RewardTerm):
             values[name] = updated(own[name], value, source)
