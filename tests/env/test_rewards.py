@@ -48,14 +48,14 @@ def test_target_velocity_and_sideways_speed(view_of):
     assert rewards.sideways_speed(view).tolist() == pytest.approx([1.0, 2.0, 0.0], abs=1e-6)
 
 
-def test_facing(view_of):
-    """Nothing is lost within a quarter of a radian to either side of the target direction, across it nearly all."""
+def test_turned_away(view_of):
+    """It costs nothing within a quarter of a radian to either side of the target direction, and one across it."""
     yaw = torch.tensor([0.2, -0.2, 0.75, -0.75, math.pi / 2 + 0.25, 3.3])
     heading = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 3.2])
     q = rotations.from_roll_pitch_yaw(torch.zeros(6), torch.zeros(6), yaw)
-    term = get_task("robust").rewards["facing"]
+    term = get_task("robust").rewards["turned_away"]
     assert term.parameters == {"free": 0.25}
-    expected = [1.0, 1.0, math.cos(0.5), math.cos(0.5), 0.0, 1.0]
+    expected = [0.0, 0.0, 1.0 - math.cos(0.5), 1.0 - math.cos(0.5), 1.0, 0.0]
     assert term(view_of(root_rotation=q, heading=heading)).tolist() == pytest.approx(expected, abs=1e-5)
 
 

@@ -85,12 +85,12 @@ def test_settings_of_another_version_are_refused(content: Any, message: str):
 def test_a_reward_term_from_later_had_no_weight():
     """A training of before the task had it goes on with the reward that it had."""
     content = to_dict(get_task("robust"))
-    del content["rewards"]["facing"]
+    del content["rewards"]["turned_away"]
     content["rewards"]["upright"]["weight"] = 2.0
     task = task_from_dict(content, "file")
-    assert task.rewards["facing"].weight == 0.0 and task.rewards["facing"].parameters == {"free": 0.25}
+    assert task.rewards["turned_away"].weight == 0.0 and task.rewards["turned_away"].parameters == {"free": 0.25}
     assert task.rewards["upright"].weight == 2.0 and task.rewards["pattern_tracking"].weight == 5.0
-    assert get_task("robust").rewards["facing"].weight > 0.0
+    assert get_task("robust").rewards["turned_away"].weight < 0.0
 
 
 def test_settings_that_are_not_there_are_the_tasks_own():
