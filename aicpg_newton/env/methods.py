@@ -96,7 +96,8 @@ def with_method(task: Task, choice: str) -> Task:
     """A task made complete by a method: its settings, its reward terms, its learning.
 
     Args:
-        task: What a file in ``tasks/`` says.
+        task: What a file in ``tasks/`` says. Terms of methods that it has already count as they are there, and those of
+            other methods not at all.
         choice: A method's name, or name and condition as ``ppo:1.5`` and ``amp:run``.
 
     Raises:
@@ -105,11 +106,14 @@ def with_method(task: Task, choice: str) -> Task:
     name, _, wanted = choice.partition(":")
     method = get_method(name)
     own = {each.name: getattr(task, each.name) for each in dataclasses.fields(Task)}
+    terms = method.rewards()
+    foreign = {each for other in METHODS.values() for each in other.rewards()} - set(terms)
+    said = {each: term for each, term in task.rewards.items() if each not in foreign}
     complete = method.task(
         **{
             **own,
             "method": name,
-            "rewards": {**task.rewards, **method.rewards()},
+            "rewards": said | {each: said.get(each, term) for each, term in terms.items()},
             "learning": method.learning(task.learning),
         }
     )

@@ -28,3 +28,15 @@ def test_a_task_with_a_method_is_a_new_task():
     plain = TASKS["uneven"]()
     with_method(plain, "ppo")
     assert plain == TASKS["uneven"]()
+
+
+def test_a_task_may_weigh_a_methods_term():
+    """It stays where the method has it, and is left out where another has."""
+    task = TASKS["robust"]()
+    assert task.rewards["pattern_tracking"].weight == 8.0
+    assert with_method(task, "ai-cpg").rewards["pattern_tracking"].weight == 8.0
+    assert "pattern_tracking" not in with_method(task, "ppo").rewards
+    assert with_method(task, "ppo").rewards["target_speed"].weight == 5.0
+    assert (
+        list(get_task("flat").rewards)[-1] == "pattern_tracking" and "pattern_tracking" not in TASKS["flat"]().rewards
+    )

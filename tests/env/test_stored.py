@@ -89,7 +89,7 @@ def test_a_reward_term_from_later_had_no_weight():
     content["rewards"]["upright"]["weight"] = 2.0
     task = task_from_dict(content, "file")
     assert task.rewards["turned_away"].weight == 0.0 and task.rewards["turned_away"].parameters == {"free": 0.25}
-    assert task.rewards["upright"].weight == 2.0 and task.rewards["pattern_tracking"].weight == 5.0
+    assert task.rewards["upright"].weight == 2.0 and task.rewards["pattern_tracking"].weight == 8.0
     assert get_task("robust").rewards["turned_away"].weight < 0.0
 
 
