@@ -132,7 +132,7 @@ def compile_methods(owner: object, names: Iterable[str], device: torch.device | 
     few: dict[str, Any] = {
         "force_pointwise_cat": True,
         "max_pointwise_cat_inputs": 64,
-        "realize_reads_threshold": 4 * repeated,
+        "realize_reads_threshold": 4 * repeated,  # 4 and 30 are inductor's own
         "realize_opcount_threshold": 30 * repeated,
     }
     options = None if reading_is_free(device) else few

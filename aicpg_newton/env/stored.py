@@ -83,16 +83,13 @@ def updated(settings: _Settings, content: Any, source: str) -> _Settings:
 def _updated_entries(own: dict[str, Any], content: Any, title: str, source: str) -> dict[str, Any]:
     """Entries of a dictionary: reward terms by name, or the parameters of one."""
     _refuse_unknown(content, set(own), title, source)
-    values = {
-        name: dataclasses.replace(each, weight=0.0) if isinstance(each, RewardTerm) else each
-        for name, each in own.items()
-    }
-    for name, value in content.items():
-        if isinstance(own[name], RewardTerm):
-            values[name] = updated(own[name], value, source)
-        else:
-            _check_kind(type(own[name]), value, name, source)
-            values[name] = value
+    values = dict(own)
+    for name, each in own.items():
+        if isinstance(each, RewardTerm):
+            values[name] = updated(each, content.get(name, {"weight": 0.0}), source)
+        elif name in content:
+            _check_kind(type(each), content[name], name, source)
+            values[name] = content[name]
     return values
 
 
