@@ -21,7 +21,7 @@ from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.controllers import trained
-from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP
+from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP, TERRAIN, TRANSITION, Protocol
 from aicpg_newton.evaluation.run import Laboratory, evaluate, identity_of
 from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.files import only_one
@@ -58,7 +58,7 @@ class CompareOptions:
     num_envs: Annotated[int | None, ENVIRONMENTS] = None
     """Number of environments in training; 8192 on CUDA and 256 on a CPU when not given."""
     test_envs: Annotated[int | None, ENVIRONMENTS] = None
-    """Number of environments in the evaluation; 32 for each frequency when not given."""
+    """Number of environments in the evaluation; 32 for each frequency, at least 64, when not given."""
     device: str = "auto"
     """auto, cpu or cuda:N."""
     engine: str = "auto"
@@ -106,6 +106,21 @@ def trainings(options: CompareOptions) -> list[Training]:
     return found
 
 
+def _follows_frequency(everything: Sequence[Training]) -> bool:
+    """Whether any of them can be told a stride frequency."""
+    return any(get_method(each.task.method).follows_frequency for each in everything)
+
+
+def protocols(everything: Sequence[Training]) -> list[Protocol]:
+    """What the trainings are compared by (Fig. 3 to 6), as far as their ground and methods allow."""
+    found = [SWEEP, DISTURBANCE]
+    if _follows_frequency(everything):
+        found.append(TRANSITION)
+    if any(each.task.ground.uneven for each in everything):
+        found.append(TERRAIN)
+    return found
+
+
 def compare(options: CompareOptions) -> bool:
     """Train what is not finished, one after the other, then evaluate all of it together.
 
@@ -117,8 +132,8 @@ def compare(options: CompareOptions) -> bool:
     """
     check_ranges(options, "--")
     everything = trainings(options)
-    groups = max(each.groups for each in (SWEEP, DISTURBANCE))
-    follows = any(get_method(each.task.method).follows_frequency for each in everything)
+    groups = max(each.groups for each in protocols(everything))
+    follows = _follows_frequency(everything)
     if options.test_envs is not None and options.test_envs < groups and follows:
         raise UserError(
             f"--test-envs is {options.test_envs}, but the evaluation has {groups} frequencies; give at least one"
@@ -210,7 +225,7 @@ def _evaluate(everything: Sequence[Training], options: CompareOptions) -> bool:
     controllers = [trained(training.folder) for training in everything]
     if folder.exists():
         results.prepare(folder, (), identity_of(controllers, laboratory))
-    missing = [each for each in (SWEEP, DISTURBANCE) if not (folder / f"{each.name}.json").exists()]
+    missing = [each for each in protocols(everything) if not (folder / f"{each.name}.json").exists()]
     if not missing:
         print(f"Evaluated before: {folder}")
         return True

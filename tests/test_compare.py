@@ -89,9 +89,10 @@ def test_trainings_continue_where_time_ran_out_and_are_evaluated_once(
     assert {path.parent.name for path in written} == {"flat_seed_3", "flat_ppo_2.0_seed_3"}
     assert all(checkpoint.read(path.parent)["iteration"] == 2 for path in written)
     assert [(each.seed, each.task.method) for each in evaluated[0][1]] == [(3, "ai-cpg"), (3, "ppo")]
-    for _ in range(2):
+    for _ in range(3):
         assert compare.compare(options)
-    assert [names for names, _ in evaluated] == [["sweep", "disturbance"], ["disturbance"]]
+    wanted = ["sweep", "disturbance", "transition"]
+    assert [names for names, _ in evaluated] == [wanted, wanted[1:], wanted[2:]]
     with pytest.raises(UserError, match="results of other controllers"):
         compare.compare(replace(options, methods=("ai-cpg",)))
     assert {path: path.stat().st_mtime for path in tmp_path.rglob("model_*.pt")} == written
@@ -105,6 +106,21 @@ def test_progress_is_a_row_for_each_and_the_time_left(tmp_path: Path):
     assert lines[2] == "120 iterations are left: about 0 h 4 min at the rate of this job."
     assert len(compare.progress(everything, (80, 0), 100, 80, 100.0).splitlines()) == 2
     assert len(compare.progress(everything, (100, 100), 100, 30, 100.0).splitlines()) == 2
+
+
+@pytest.mark.parametrize(
+    ("task", "methods", "wanted"),
+    [
+        ("flat", ("ppo:1.5", "amp:walk"), ["sweep", "disturbance"]),
+        ("flat", ("ppo:1.5", "ai-cpg"), ["sweep", "disturbance", "transition"]),
+        ("uneven", ("amp:run",), ["sweep", "disturbance", "terrain"]),
+        ("uneven", ("ai-cpg",), ["sweep", "disturbance", "transition", "terrain"]),
+    ],
+)
+def test_what_is_compared_depends_on_ground_and_methods(task: str, methods: tuple[str, ...], wanted: list[str]):
+    """The ramp where one follows the frequency, unseen terrain where the ground is uneven."""
+    everything = trainings(CompareOptions(out=Path("x"), task=task, methods=methods, seeds=(0,)))
+    assert [each.name for each in compare.protocols(everything)] == wanted
 
 
 @pytest.mark.usefixtures("small")
