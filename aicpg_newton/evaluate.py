@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -56,9 +56,11 @@ def main(options: EvaluateOptions) -> None:
         UserError: An option cannot be met.
     """
     check_ranges(options, "--")
-    if options.redraw and options.checkpoint:
-        raise UserError("--redraw only draws figures from results that are there; leave --checkpoint out")
     if options.redraw:
+        for each in fields(options):
+            if each.name not in ("out", "redraw") and getattr(options, each.name) != each.default:
+                name = each.name.replace("_", "-")
+                raise UserError(f"--redraw only draws figures from results that are there; leave --{name} out")
         folders = list(options.redraw)
     else:
         folders = [options.out]

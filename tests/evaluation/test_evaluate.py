@@ -134,7 +134,9 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path: Path):
         ({"agent": "zero", "num_envs": 0}, "--num-envs is 0"),
         ({"agent": "zero", "engine": "bullet"}, "bullet"),
         ({"agent": "zero", "checkpoint": (Path("model_1.pt"),)}, "leave --checkpoint out"),
-        ({"redraw": (Path("nowhere"),)}, "no results in nowhere"),
+        ({"redraw": (Path("nowhere"),), "device": "auto"}, "no results in nowhere"),
+        ({"redraw": (Path("nowhere"),), "checkpoint": (Path("model_1.pt"),)}, "leave --checkpoint out"),
+        ({"redraw": (Path("nowhere"),), "device": "auto", "terrain_seed": (7,)}, "leave --terrain-seed out"),
         ({"agent": "zero", "terrain_seed": (7,)}, "the ground is a plane; leave --terrain-seed out"),
         ({"agent": "zero", "protocol": "terrain"}, "the terrain protocol needs uneven ground; give --task uneven"),
         (
