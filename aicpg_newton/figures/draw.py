@@ -37,8 +37,10 @@ from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.transition_summaries import FLIGHT_THRESHOLD
 from aicpg_newton.figures.hysteresis import hysteresis_figure
 from aicpg_newton.figures.plotting import (
+    PAPERS_TRANSITION_MPS,
     REFERENCE,
     draw_points,
+    mark_the_papers_transition,
     methods,
     over_seeds,
     save,
@@ -159,10 +161,11 @@ def _performance(sweep: list[Row], disturbance: list[Row]) -> Figure:
     cost.plot(run, [HUMAN_RUNNING_COST] * 2, **REFERENCE, linestyle=(0, (1, 1)), label="people running, metabolic ²")
     for axes in (cost, flight):
         _mark_gait_changes(axes, sweep)
+        mark_the_papers_transition(axes, *PAPERS_TRANSITION_MPS, "the paper's AI-CPG changes gait")
     flight.axvspan(_TRANSITION_SPEED - 0.1, _TRANSITION_SPEED + 0.1, color="0.85", label="people begin to run ³")
     for axes in (cost, symmetry, falls, flight):
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(fontsize="small")
+            axes.legend(fontsize="x-small", ncols=2 if axes is cost else 1)
     figure.supxlabel(
         "Curves: stride frequencies 0.70 to 1.40 Hz; single dots: controllers trained for one speed. Mean over seeds,"
         " shaded: standard deviation,\nof one seed the 95 % interval over its environments; hollow: over half of the"

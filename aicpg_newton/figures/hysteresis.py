@@ -10,7 +10,15 @@ from matplotlib.figure import Figure
 from aicpg_newton.evaluation.protocols import UP_AND_DOWN
 from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.transition_summaries import TRANSITION_FROUDE
-from aicpg_newton.figures.plotting import REFERENCE, curves_over_time, mean, methods, say_if_empty
+from aicpg_newton.figures.plotting import (
+    PAPERS_TRANSITION_HZ,
+    REFERENCE,
+    curves_over_time,
+    mark_the_papers_transition,
+    mean,
+    methods,
+    say_if_empty,
+)
 
 
 def hysteresis_figure(rows: list[Row], found: list[dict[str, Any]]) -> Figure:
@@ -39,6 +47,7 @@ def hysteresis_figure(rows: list[Row], found: list[dict[str, Any]]) -> Figure:
                 label = f"{method}, {way}: Fr = 0.5 at {where:.3f} Hz"
                 panels["froude"].axvline(where, color=style.colour, linestyle=line, linewidth=0.8, label=label)
     panels["froude"].axhline(TRANSITION_FROUDE, **REFERENCE, linestyle=":")
+    mark_the_papers_transition(panels["flight_ratio"], *PAPERS_TRANSITION_HZ, "the paper's change of gait, going up")
     for column, axes in panels.items():
         axes.set(title=titles[column], xlabel="stride frequency [Hz]")
         axes.set_ylim(bottom=0.0)

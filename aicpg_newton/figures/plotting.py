@@ -21,6 +21,13 @@ REFERENCE = {"color": "0.45", "linewidth": 1.2}
 """Look of everything that is not a result."""
 
 
+PAPERS_TRANSITION_MPS = (2.0, 2.8)
+"""The paper's AI-CPG walks without flight up to the first and runs steadily from the second speed on (Fig. 3) [m/s]."""
+
+PAPERS_TRANSITION_HZ = (0.93, 1.14)
+"""The same as stride frequencies on its ramp (Fig. 4) [Hz]."""
+
+
 @dataclass(frozen=True)
 class Style:
     """Look of a method: colours of different lightness, and a marker and a line style each."""
@@ -178,3 +185,9 @@ def save(figure: Figure, path: Path) -> Path:
     with WholeFile(path) as temporary:
         figure.savefig(temporary, dpi=100, format="png")
     return path
+
+
+def mark_the_papers_transition(axes: Axes, start: float, end: float, label: str) -> None:
+    """A band from where the paper's AI-CPG stops walking to where it runs, in the coordinates of the x axis."""
+    colour = _STYLES[METHODS["ai-cpg"].title].colour
+    axes.axvspan(start, end, facecolor=(colour, 0.06), edgecolor=(colour, 0.5), linestyle=":", label=label)

@@ -12,7 +12,16 @@ from matplotlib.figure import Figure
 
 from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.transition_summaries import DIAGRAMS, POSES, TRANSITION_FROUDE
-from aicpg_newton.figures.plotting import REFERENCE, Style, curves_over_time, mean, methods, say_if_empty
+from aicpg_newton.figures.plotting import (
+    PAPERS_TRANSITION_HZ,
+    REFERENCE,
+    Style,
+    curves_over_time,
+    mark_the_papers_transition,
+    mean,
+    methods,
+    say_if_empty,
+)
 from aicpg_newton.motion.figure import draw_stick_figures
 from aicpg_newton.robot.humanoid import CONTROL_DT
 
@@ -59,9 +68,12 @@ def transition_figure(method: str, rows: list[Row], found: list[dict[str, Any]])
             axes.set_ylim(bottom=0.0)
         if column == "standing":
             axes.set_ylim(-0.05, 1.05)
+        if column == "flight_ratio":
+            start, end = np.interp(PAPERS_TRANSITION_HZ, frequency, time)
+            mark_the_papers_transition(axes, float(start), float(end), "the paper's change of gait, 0.93 to 1.14 Hz")
         _draw_changes(axes, found, curves, with_label=index == 0)
         say_if_empty(axes, rows, column)
-        if column in ("speed_mps", "froude"):
+        if column in ("speed_mps", "froude", "flight_ratio"):
             axes.legend(fontsize="small", loc="upper left")
         if index == len(panels) - 1:
             axes.set_xlabel("time [s]")

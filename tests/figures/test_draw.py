@@ -13,6 +13,7 @@ from aicpg_newton.evaluation.protocols import GAITS, PROTOCOLS, SWEEP
 from aicpg_newton.figures.draw import draw_all, human_walking_cost
 from aicpg_newton.figures.plotting import methods, over_seeds
 from aicpg_newton.figures.terrain import nearest_to_the_paper
+from aicpg_newton.figures.transition import transition_figure
 
 DIAGRAM = {"stride_frequency_hz": 0.75, "duty_factor": 0.6, "flight_ratio": 0.0, "reason": ""}
 
@@ -147,6 +148,17 @@ def test_results_without_a_number_give_figures_that_say_so(tmp_path: Path):
     """Everything fell: no crash, all figures."""
     paths = draw_all([made_up(tmp_path / "a", "AI-CPG", (0,), fallen=True)], tmp_path)
     assert sorted(path.name for path in paths) == [*FIGURES[:1], "figure_4_ai_cpg.png", *FIGURES[1:]]
+
+
+def test_the_papers_change_of_gait_is_where_its_ramp_passes_it(tmp_path: Path):
+    """f(t) = 0.7 + 0.023 t passes 0.93 Hz at 10 s and 1.14 Hz at 19.1 s."""
+    folder = made_up(tmp_path / "a", "AI-CPG", (0,))
+    rows = results.read_table(folder, "transition")
+    figure = transition_figure("AI-CPG", rows, results.read_description(folder, "transition")["results"])
+    panels = [(axes, patch) for axes in figure.axes for patch in axes.patches]
+    ((axes, band),) = [(axes, patch) for axes, patch in panels if "the paper's" in str(patch.get_label())]
+    ends = band.get_extents().transformed(axes.transData.inverted())
+    assert (ends.x0, ends.x1) == pytest.approx((10.0, 19.13), abs=0.06)
 
 
 def test_baselines_join_the_panels(tmp_path: Path):
