@@ -257,6 +257,8 @@ class Environment(VecEnv):
             torque=actuation.torque,
             target=actuation.target,
             target_velocity=actuation.target_velocity,
+            pattern=self.pattern,
+            phase=self.phase,
         )
         return self._seen
 

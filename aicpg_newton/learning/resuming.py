@@ -106,13 +106,29 @@ def restore(runner: Training, model: Path) -> str:
     before, now = ({**task, "learning": None} for task in (content["task"], to_dict(runner.env.task)))
     settings = [name for name in now if before.get(name) != now[name]]
     changed += [f"settings of {', '.join(settings)}"] if settings else []
-    if changed:
-        return f"{' and '.join(changed)} changed"
     try:
+        if changed:
+            kept = ", each on the level of the ground that it had reached" if _keep_levels(runner, content) else ""
+            return f"{' and '.join(changed)} changed{kept}"
         _take_over(runner, content)
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise UserError(f"{path} does not fit this run; delete it to resume with robots that begin anew") from error
     return ""
+
+
+def _keep_levels(runner: Training, content: dict[str, Any]) -> bool:
+    """Let robots begin anew on the levels of a state, where ground and robots are as many; whether that is so.
+
+    Otherwise a change of the reward alone would send all of them back to level ground, and they would unlearn the rest.
+    """
+    env, level = runner.env, content["environment"]["level"]
+    if env.task.ground.levels < 2 or content["task"]["ground"] != to_dict(env.task)["ground"]:
+        return False
+    if level.shape != env.level.shape:
+        return False
+    env.level = level.to(env.level.device)
+    env.restart(env.commands.frequency)
+    return True
 
 
 def _take_over(runner: Training, content: dict[str, Any]) -> None:

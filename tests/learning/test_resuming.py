@@ -14,11 +14,13 @@ import torch
 from rsl_rl.algorithms import PPO
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import ImitationTask, Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.ppo import BoundedPPO
+from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.training import RunOptions, train
 
 WALL_CLOCK = ("Perf/", "Train/mean_reward/time", "Train/mean_episode_length/time")
@@ -135,6 +137,34 @@ def test_what_is_not_restored_is_told(what: str, reason: str, run: Path, tmp_pat
     anew = f"; robots, episodes and random numbers begin anew, as {reason}" if reason else ""
     assert f"Resumed {folder / 'model_2.pt'} after 3 iterations{anew}." in said
     assert checkpoint.read(folder)["iteration"] == 4
+
+
+@pytest.mark.parametrize("change", ["reward", "ground"])
+def test_levels_outlive_a_change_of_reward(
+    change: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+):
+    """Robots begin anew, but on the strips that their curriculum had reached; on other ground on the first."""
+    folder, level = tmp_path / "run", torch.tensor([0, 2, 1, 0, 1, 2])
+    train(small_task("uneven"), options(folder, max_iterations=1))
+    state = torch.load(folder / "state_0.pt", weights_only=True)
+    state["environment"]["level"] = level
+    torch.save(state, folder / "state_0.pt")
+    begun: list[Environment] = []
+    monkeypatch.setattr(Runner, "learn", lambda runner, *_, **__: begun.append(runner.env))
+    task = small_task("uneven")
+    if change == "reward":
+        task.rewards["survival"].weight = 2.0
+    else:
+        task.ground.height_range = 0.2
+    train(task, options(None, resume=folder, max_iterations=2))
+    kept = ", each on the level of the ground that it had reached" if change == "reward" else ""
+    settings = "rewards" if change == "reward" else "ground"
+    assert f"begin anew, as settings of {settings} changed{kept}.\n" in capsys.readouterr().out
+    (environment,) = begun
+    assert torch.equal(environment.level, level if change == "reward" else torch.zeros_like(level))
+    strip = task.ground.width / task.ground.levels
+    y = environment.engine.state.root_position[:, 1] + 0.5 * task.ground.width
+    assert torch.equal((y / strip).floor().long(), environment.level)
 
 
 def test_a_state_of_something_else_is_refused(run: Path, tmp_path: Path):
