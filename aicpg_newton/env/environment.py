@@ -94,7 +94,7 @@ class Environment(VecEnv):
         """What the network sees, in order."""
         self._flat = zeros
         scale = task.learning.reward_scale
-        self._terms = {name: (scale * term.weight, term) for name, term in task.rewards.items()}
+        self._terms = {name: (scale * term.weight, term) for name, term in task.rewards.items() if term.weight}
         self._push = torch.zeros(n, 3, device=self.device)
         self._push_clock = self._uniform(0.0, max(task.pushes.interval, CONTROL_DT))
         self._asked_pushes: list[torch.Tensor] = []

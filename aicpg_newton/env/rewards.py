@@ -28,7 +28,7 @@ VELOCITY_SCALE = 0.1
 
 @dataclass
 class RewardTerm:
-    """One term of the reward, logged as Episode_Reward/<name>: weighted, mean per step."""
+    """One term of the reward, logged as Episode_Reward/<name>: weighted, mean per step. Of weight 0 it is left out."""
 
     function: Annotated[Callable[..., torch.Tensor], tyro.conf.Suppress]
     """Takes the view, and the parameters by name; returns shape [num_envs]."""
@@ -115,6 +115,14 @@ def pattern_tracking(view: View, bound: float, reading: PatternError) -> torch.T
     return (1.0 - error / bound).clamp_min(0.0)
 
 
+def bounce(view: View) -> torch.Tensor:
+    """Squared difference of the pelvis's vertical velocity from the imitated gait's [m^2/s^2]; not in the paper.
+
+    Joint angles do not tell a walk from a hop, as both swing the legs alike.
+    """
+    return (view.state.root_linear_velocity[:, 2] - view.gait_rise) ** 2
+
+
 def target_speed(view: View) -> torch.Tensor:
     """R_t of the PPO baseline: 1 at the speed told, falling straight to 0 at standstill and at twice that speed.
 
@@ -144,7 +152,10 @@ def pattern_terms() -> dict[str, RewardTerm]:
     As printed (``magnitude_of_sum``, with b = 2.5) errors cancel, and speed stopped following f in a first trial; the
     sum of 28 magnitudes is larger, hence another b.
     """
-    return {"pattern_tracking": RewardTerm(pattern_tracking, 5.0, {"bound": 5.0, "reading": "sum_of_magnitudes"})}
+    return {
+        "pattern_tracking": RewardTerm(pattern_tracking, 5.0, {"bound": 5.0, "reading": "sum_of_magnitudes"}),
+        "bounce": RewardTerm(bounce, 0.0),
+    }
 
 
 def speed_terms() -> dict[str, RewardTerm]:

@@ -59,6 +59,15 @@ def test_turned_away(view_of):
     assert term(view_of(root_rotation=q, heading=heading)).tolist() == pytest.approx(expected, abs=1e-5)
 
 
+def test_bounce(view_of, pattern):
+    """Nothing where the pelvis rises as in the gait, the square of what it is faster or slower by."""
+    phase, others = torch.tensor([0.5, 0.5, 4.0]), torch.tensor([0.0, 0.5, -0.3])
+    velocity = torch.zeros(3, 3)
+    velocity[:, 2] = pattern.rise(phase, torch.ones(3)) + others
+    view = view_of(root_linear_velocity=velocity, pattern=pattern, phase=phase)
+    assert rewards.bounce(view).tolist() == pytest.approx([0.0, 0.25, 0.09], abs=1e-5)
+
+
 @pytest.mark.parametrize(
     ("reading", "bound", "reward"),
     [

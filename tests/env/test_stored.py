@@ -85,12 +85,14 @@ def test_settings_of_another_version_are_refused(content: Any, message: str):
 def test_a_reward_term_from_later_had_no_weight():
     """A training of before the task had it goes on with the reward that it had."""
     content = to_dict(get_task("robust"))
-    del content["rewards"]["turned_away"]
+    del content["rewards"]["turned_away"], content["rewards"]["bounce"]
     content["rewards"]["upright"]["weight"] = 2.0
     task = task_from_dict(content, "file")
     assert task.rewards["turned_away"].weight == 0.0 and task.rewards["turned_away"].parameters == {"free": 0.25}
     assert task.rewards["upright"].weight == 2.0 and task.rewards["pattern_tracking"].weight == 8.0
-    assert get_task("robust").rewards["turned_away"].weight < 0.0
+    assert task.rewards["bounce"].weight == 0.0
+    now = get_task("robust").rewards
+    assert now["turned_away"].weight < 0.0 and now["bounce"].weight < 0.0
 
 
 def test_settings_that_are_not_there_are_the_tasks_own():
@@ -129,7 +131,7 @@ def test_shipped_checkpoints_keep_their_settings(path):
         before = {**content["rewards"]["weights"]}
         before["action_energy"] = before.pop("reflex_energy")
         assert {name: term.weight for name, term in task.rewards.items()} == {
-            name: before[name] for name in task.rewards
+            name: before.get(name, 0.0) for name in task.rewards
         }
         assert task.learning.reward_scale == content["rewards"]["scale"]
         if "pattern_tracking" in task.rewards:

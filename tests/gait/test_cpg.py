@@ -14,7 +14,7 @@ from aicpg_newton.gait.cpg import Gait, PatternNetwork
 def made_up_network() -> PatternNetwork:
     """A network with random weights and two simple gaits."""
     torch.manual_seed(0)
-    series = ((0.0, 0.0, 0.9, 0.0, 0.0, 0.0), (0.0,) * 6, (0.0, 0.02, 0.0, 0.0, 0.0, 0.0))
+    series = ((0.0, 0.0, 0.9, 0.0, 0.0, 0.0), (0.0,) * 6, (0.0, 0.02, 0.03, 0.0, 0.0, 0.0))
     walk = Gait(name="walk", source="a", frequency=0.9, speed=1.2, root_harmonics=series)
     run = Gait(name="run", source="b", frequency=1.3, speed=3.2, root_harmonics=series)
     return PatternNetwork((walk, run)).requires_grad_(False)
@@ -82,9 +82,17 @@ def test_root_motion_and_speed_lie_between_the_gaits():
     """
     network = made_up_network()
     motion = network.root_motion(torch.tensor([math.pi / 2]), torch.tensor([1.1]))
-    assert motion[0].tolist() == pytest.approx([0.0, 0.02, 0.9, 0.0, 0.0, 0.0], abs=1e-6)
+    assert motion[0].tolist() == pytest.approx([0.0, 0.02, 0.93, 0.0, 0.0, 0.0], abs=1e-6)
     speed = network.nominal_speed(torch.tensor([0.9, 1.1, 1.3, 1.4, 0.45, 0.0]))
     assert speed.tolist() == pytest.approx([1.2, 2.2, 3.2, 3.7, 0.6, 0.0], abs=1e-5)
+
+
+def test_rise_is_the_rate_of_the_pelvis_height():
+    """Of z = 0.9 + 0.03 sin(phase): 0.03 cos(phase) 2 pi f, half a control step later."""
+    network, f = made_up_network(), 1.1
+    phase = torch.tensor([0.0, 1.0, 3.0, 6.2])
+    expected = 0.03 * 2 * math.pi * f * torch.cos(phase + 0.5 * 2 * math.pi * f / 60)
+    assert torch.allclose(network.rise(phase, torch.full((4,), f)), expected, atol=1e-3)
 
 
 def test_network_has_the_papers_layers():
