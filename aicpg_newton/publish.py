@@ -24,7 +24,7 @@ from aicpg_newton.evaluation.run import Laboratory, evaluate
 from aicpg_newton.files import temporary_folder, write_text
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.places import ASSETS
-from aicpg_newton.ranges import ENVIRONMENTS, check_ranges
+from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, check_ranges
 
 
 @dataclass(kw_only=True)
@@ -33,6 +33,8 @@ class PublishOptions:
 
     checkpoint: Path
     """model_*.pt in a run folder, or the run folder for its latest."""
+    average: Annotated[int, AT_LEAST_ONE] = 1
+    """Ship the mean of the networks of so many checkpoints of the run: this one and those before it."""
     out: Path = ASSETS / "policies"
     """Folder to write <task>.pt and <task>.yaml into; a baseline's names go on with method and condition."""
     replace: bool = False
@@ -52,7 +54,11 @@ def publish(options: PublishOptions) -> Path:
         UserError: The checkpoint cannot be read, or a network ships under its name and is not to be replaced.
     """
     check_ranges(options, "--")
-    content = checkpoint.read(options.checkpoint)
+    content = checkpoint.without_optimiser(
+        checkpoint.read(options.checkpoint)
+        if options.average == 1
+        else checkpoint.average(options.checkpoint, options.average)
+    )
     # The checkpoint's own, as a run that was resumed with other settings has several config.yaml.
     task = task_from_dict(content["task"], str(options.checkpoint))
     content = {**content, "run": without_machine(content["run"])}
@@ -65,14 +71,14 @@ def publish(options: PublishOptions) -> Path:
     target = options.out / f"{run_name(task)}.pt"
     taken = [path for path in (target, target.with_suffix(".yaml")) if path.exists()]
     if target.exists():
-        print(side_by_side(target, options))
+        print(side_by_side(target, content, options))
     if taken and not options.replace:
         raise UserError(f"{taken[0]} ships already and stays as it is; give --replace to put this one in its place")
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot make the folder {options.out} ({error.strerror}); give --out another one") from error
-    checkpoint.save(checkpoint.without_optimiser(content), target)
+    checkpoint.save(content, target)
     write_text(target.with_suffix(".yaml"), yaml.safe_dump(config, sort_keys=False))
     print(f"wrote {target} and {target.with_suffix('.yaml')}")
     return target
@@ -100,13 +106,14 @@ _SHOWN = {
 }
 
 
-def side_by_side(old: Path, options: PublishOptions) -> str:
+def side_by_side(old: Path, content: dict[str, Any], options: PublishOptions) -> str:
     """A table of the sweep with the network that ships and with the new one: old, then new, for each measure."""
     tables: list[dict[float, results.Row] | None] = []
     with temporary_folder() as folder:
-        for name, path in (("old", old), ("new", options.checkpoint)):
+        checkpoint.save(content, folder / "new.pt")
+        for name, path in (("old", old), ("new", folder / "new.pt")):
             try:
-                controller = trained(checkpoint.latest(path) if path.is_dir() else path)
+                controller = trained(path)
                 laboratory = Laboratory(options.num_envs, options.engine, options.device, show=True)
                 evaluate([SWEEP], [controller], laboratory, folder / name)
                 rows = results.read_table(folder / name, SWEEP.name)

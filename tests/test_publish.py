@@ -96,7 +96,7 @@ def written(folder: Path, run: dict | None = None, iteration: int = 1) -> Path:
 
 def test_what_ships_is_replaced_only_when_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
     """Old and new are shown either way."""
-    monkeypatch.setattr(publishing, "side_by_side", lambda old, options: f"{old.name} beside {options.checkpoint.name}")
+    monkeypatch.setattr(publishing, "side_by_side", lambda old, new, _: f"{old.name} beside {new['iteration']}")
     out = tmp_path / "policies"
     target = publish(PublishOptions(checkpoint=written(tmp_path), out=out))
     assert "beside" not in capsys.readouterr().out
@@ -104,11 +104,30 @@ def test_what_ships_is_replaced_only_when_told(tmp_path: Path, monkeypatch: pyte
     newer = written(tmp_path, iteration=7)
     with pytest.raises(UserError, match=r"uneven.pt ships already and stays as it is; give --replace"):
         publish(PublishOptions(checkpoint=newer, out=out))
-    assert "uneven.pt beside model_7.pt" in capsys.readouterr().out
+    assert "uneven.pt beside 7" in capsys.readouterr().out
     assert {path: path.read_bytes() for path in out.iterdir()} == before
     publish(PublishOptions(checkpoint=newer, out=out, replace=True))
-    assert "uneven.pt beside model_7.pt" in capsys.readouterr().out
+    assert "uneven.pt beside 7" in capsys.readouterr().out
     assert checkpoint.read(target)["iteration"] == 7
+
+
+def test_the_mean_of_a_runs_last_checkpoints(tmp_path: Path):
+    """It says of which, and is trained as long as the last of them."""
+    run = tmp_path / "run"
+    run.mkdir()
+    for iteration in (1, 3, 10, 20):
+        content = checkpoint.read(written(run, {"seed": 0}, iteration))
+        content["algorithm"] = {name: {"w": torch.tensor([float(iteration)])} for name in content["algorithm"]}
+        checkpoint.save(content, run / f"model_{iteration}.pt")
+    options = PublishOptions(checkpoint=run / "model_10.pt", average=2, out=tmp_path / "out")
+    content = checkpoint.read(publish(options))
+    assert content["algorithm"]["actor_state_dict"]["w"].item() == 6.5
+    assert content["iteration"] == 10 and content["run"] == {"seed": 0, "average_of": [3, 10]}
+    with pytest.raises(UserError, match=r"holds 4 checkpoints up to model_20.pt; average no more"):
+        publish(replace(options, checkpoint=run, average=5))
+    for name, message in (("model_15.pt", "no checkpoint at .*model_15.pt"), ("best.pt", "best.pt is not named as")):
+        with pytest.raises(UserError, match=message):
+            publish(replace(options, checkpoint=run / name))
 
 
 def test_a_configuration_alone_is_kept_too(tmp_path: Path):
@@ -150,7 +169,8 @@ def test_both_are_tested(monkeypatch: pytest.MonkeyPatch):
     brief = replace(SWEEP, duration=2.5, frequencies=(0.9, 1.2))
     monkeypatch.setattr(publishing, "SWEEP", brief)
     shipped = checkpoint.shipped("robust")
-    table = publishing.side_by_side(shipped, PublishOptions(checkpoint=shipped, num_envs=2, device="cpu"))
+    options = PublishOptions(checkpoint=shipped, num_envs=2, device="cpu")
+    table = publishing.side_by_side(shipped, checkpoint.read(shipped), options)
     lines = table.splitlines()
     assert lines[0].split()[:4] == ["f", "[Hz]", "never", "fell"]
     for line in lines[2:]:

@@ -6,6 +6,8 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import torch
+
 from aicpg_newton import places
 from aicpg_newton.env.stored import same_humanoid
 from aicpg_newton.errors import UserError
@@ -147,6 +149,47 @@ def require_run(content: dict[str, Any], path: Path) -> None:
         raise UserError(f"{path} does not say the {missing[0]} of its run; it can be played, not resumed or judged")
 
 
+def average(path: Path, number: int) -> dict[str, Any]:
+    """A checkpoint without optimiser whose networks are means over several of its run: it falls less than each of them.
+
+    Late in a training the gait wanders about what is best for it, and the mean of weights lies nearer to that (B. T.
+    Polyak and A. B. Juditsky, SIAM J. Control Optim. 30, 1992).
+
+    Args:
+        path: Checkpoint in a run folder, or the folder for its newest.
+        number: How many checkpoints: this one and those before it.
+
+    Returns:
+        Content of that checkpoint with these networks; ``average_of`` in its ``run`` has the iterations.
+
+    Raises:
+        UserError: The run has fewer checkpoints, one cannot be read, or they are of different networks.
+    """
+    last = latest(path) if path.is_dir() else path
+    before = [each for each in all_of(last.parent) if _number(each) < _number(last)]
+    files = [*before, last][-number:]
+    if len(files) < number:
+        raise UserError(f"{last.parent} holds {len(files)} checkpoints up to {last.name}; average no more than these")
+    contents = [without_optimiser(_read(each)) for each in files]
+    content = contents[-1]
+    try:
+        algorithm = {
+            name: {key: _mean([each["algorithm"][name][key] for each in contents]) for key in networks}
+            for name, networks in content["algorithm"].items()
+        }
+    except (KeyError, RuntimeError) as error:
+        raise UserError(f"the checkpoints in {last.parent} are of different networks; average fewer") from error
+    run = {**content["run"], "average_of": [each["iteration"] for each in contents]}
+    return {**content, "run": run, "algorithm": algorithm}
+
+
+def _mean(values: list[torch.Tensor]) -> torch.Tensor:
+    """Mean of tensors of one shape; of whole numbers, as a counter is one, the last."""
+    if not values[-1].is_floating_point():
+        return values[-1]
+    return torch.stack(values).double().mean(dim=0).to(values[-1].dtype)
+
+
 def without_optimiser(content: dict[str, Any]) -> dict[str, Any]:
     """A checkpoint's content at a third of its size, actor and critic alone: it can be played and judged, not resumed.
 
@@ -200,10 +243,18 @@ def all_of(folder: Path) -> list[Path]:
     Raises:
         UserError: The folder holds none.
     """
-    found = {int(match[1]): path for path in folder.glob("model_*.pt") if (match := _NAME.fullmatch(path.name))}
+    found = [path for path in folder.glob("model_*.pt") if _NAME.fullmatch(path.name)]
     if not found:
         raise UserError(f"no model_*.pt in {folder}; give a run folder that holds a checkpoint")
-    return [found[iteration] for iteration in sorted(found)]
+    return sorted(found, key=_number)
+
+
+def _number(path: Path) -> int:
+    """Iteration in a checkpoint's name."""
+    match = _NAME.fullmatch(path.name)
+    if match is None:
+        raise UserError(f"{path.name} is not named as a checkpoint of a run; give a model_*.pt file in its run folder")
+    return int(match[1])
 
 
 def latest(folder: Path) -> Path:
