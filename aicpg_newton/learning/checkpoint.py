@@ -150,10 +150,10 @@ def require_run(content: dict[str, Any], path: Path) -> None:
 
 
 def average(path: Path, number: int) -> dict[str, Any]:
-    """A checkpoint without optimiser whose networks are means over several of its run: it falls less than each of them.
+    """A checkpoint without optimiser whose networks are means over several of its run.
 
     Late in a training the gait wanders about what is best for it, and the mean of weights lies nearer to that (B. T.
-    Polyak and A. B. Juditsky, SIAM J. Control Optim. 30, 1992).
+    Polyak and A. B. Juditsky, SIAM J. Control Optim. 30, 1992); docs/robust.md has what it brings.
 
     Args:
         path: Checkpoint in a run folder, or the folder for its newest.
