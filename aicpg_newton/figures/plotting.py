@@ -20,7 +20,6 @@ from aicpg_newton.files import WholeFile
 REFERENCE = {"color": "0.45", "linewidth": 1.2}
 """Look of everything that is not a result."""
 
-
 PAPERS_TRANSITION_MPS = (2.0, 2.8)
 """The paper's AI-CPG walks without flight up to the first and runs steadily from the second speed on (Fig. 3) [m/s]."""
 
