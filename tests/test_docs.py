@@ -39,6 +39,15 @@ def test_named_files_are_there(page: Path):
         assert (ROOT / path).exists() or path == "tasks/quiet.py", path
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tables_have_rows_of_one_width(page: Path):
+    """At least one below the head, and as many cells in each; a bar within a cell has a backslash."""
+    for table in re.findall(r"(?m)(?:^ *\|.*\n)+", page.read_text(encoding="utf-8")):
+        rows = table.splitlines()
+        assert len(rows) > 2, rows[0]
+        assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1, rows[0]
+
+
 def test_what_reliability_rests_on_is_there():
     """Every test that the page names, by file and function."""
     named = re.findall(r"`([\w/]+\.py)(?:::(\w+))?`", (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8"))

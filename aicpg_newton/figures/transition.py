@@ -70,7 +70,8 @@ def transition_figure(method: str, rows: list[Row], found: list[dict[str, Any]])
             axes.set_ylim(-0.05, 1.05)
         if column == "flight_ratio":
             start, end = np.interp(PAPERS_TRANSITION_HZ, frequency, time)
-            mark_the_papers_transition(axes, float(start), float(end), "the paper's change of gait, 0.93 to 1.14 Hz")
+            told = "the paper's change of gait, {:g} to {:g} Hz".format(*PAPERS_TRANSITION_HZ)
+            mark_the_papers_transition(axes, float(start), float(end), told)
         _draw_changes(axes, found, curves, with_label=index == 0)
         say_if_empty(axes, rows, column)
         if column in ("speed_mps", "froude", "flight_ratio"):
