@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 import torch
 import tyro
@@ -28,17 +28,18 @@ from aicpg_newton.device import (
     worth_compiling,
 )
 from aicpg_newton.engines import ENGINES, Engine, engine_name
-from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.methods import on_task
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.files import write_text
 from aicpg_newton.gait.cpg import PatternNetwork
-from aicpg_newton.learning import time_to_walk as walking
-from aicpg_newton.learning.runner import Runner
 from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, NOT_NEGATIVE, POSITIVE, SEED, check_ranges
 from aicpg_newton.viewing.output import writable_path
+
+if TYPE_CHECKING:
+    from aicpg_newton.env.environment import Environment
+    from aicpg_newton.learning.time_to_walk import WalkingTime
 
 _BURST = 20
 """Control steps timed in one go."""
@@ -111,6 +112,8 @@ def measure(
     options: BenchmarkOptions, name: str, task: Task, num_envs: int, device: torch.device, learner_device: torch.device
 ) -> Rates:
     """Measure one engine with one number of environments, walking with the CPG and a small random reflex."""
+    from aicpg_newton.env.environment import Environment, engine_for  # here: seconds to load, and options may be wrong
+
     began = time.perf_counter()
     engine = engine_for(task, name, num_envs, device)
     compiled = worth_compiling(options.compile, device)
@@ -145,6 +148,8 @@ def _learning_rate(environment: Environment, iterations: int, device: torch.devi
     """Samples per second of whole iterations, after a first one that is not counted."""
     if iterations < 1:
         return None
+    from aicpg_newton.learning.runner import Runner
+
     runner = Runner(environment, {"seed": 0}, device=device)
     runner.learn(1)
     finish(environment.device)
@@ -220,7 +225,7 @@ def doubts(rows: list[Rates]) -> str:
     )
 
 
-def walking_table(results: list[walking.WalkingTime]) -> str:
+def walking_table(results: list[WalkingTime]) -> str:
     """Time to walk of each training and the median, as a Markdown table."""
     head = ("seed", "samples", "seconds", "physics", "environment", "learning", "samples a second", "walks")
     cells = [head, ("---",) * len(head)]
@@ -261,18 +266,20 @@ def benchmark(options: BenchmarkOptions) -> list[Rates]:
     return rows
 
 
-def time_to_walk(options: BenchmarkOptions) -> list[walking.WalkingTime]:
+def time_to_walk(options: BenchmarkOptions) -> list[WalkingTime]:
     """Train with each seed until it walks and runs, and print the table.
 
     Raises:
         UserError: An option cannot be met.
     """
+    from aicpg_newton.learning import time_to_walk as walking
+
     device, where = _check(options)
     name = engine_name(options.engines[0] if options.engines else "auto", device)
     learner_device = resolve_learner_device(options.learner_device, name, device)
     task, num_envs = options.settings, options.num_envs[0]
     print(f"Time to walk, task {task.name}, engine {name}, {num_envs} environments, {where}.")
-    results: list[walking.WalkingTime] = []
+    results: list[WalkingTime] = []
     for seed in options.seeds:
         result = walking.time_to_walk(
             task,

@@ -26,7 +26,9 @@ from aicpg_newton.evaluation.run import Laboratory, evaluate, identity_of
 from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.files import only_one
 from aicpg_newton.learning import checkpoint
-from aicpg_newton.learning.training import CONFIG_NAME, RunOptions, train
+from aicpg_newton.learning.bookkeeping import CONFIG_NAME
+from aicpg_newton.learning.plan import RunOptions
+from aicpg_newton.learning.training import train
 from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, POSITIVE, SEED, check_ranges
 
 PAPER = (

@@ -14,7 +14,8 @@ from aicpg_newton.env.methods import DEFAULT_METHOD
 from aicpg_newton.env.registry import TASKS, get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.learning.training import RunOptions, task_of, train, with_networks_of
+from aicpg_newton.learning.plan import RunOptions, task_of, with_networks_of
+from aicpg_newton.learning.training import train
 
 _Settings = TypeVar("_Settings", bound=Task)
 

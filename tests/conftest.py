@@ -10,7 +10,7 @@ import torch
 from aicpg_newton.engines import BodyState, RobotState
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.gait.cpg import PatternNetwork
-from aicpg_newton.learning import training
+from aicpg_newton.learning import work
 from aicpg_newton.robot.humanoid import MJCF_PATH, NUM_JOINTS
 
 torch.set_num_threads(1)  # the tensors are small, and threads that wait for one another cost more than they save
@@ -74,7 +74,7 @@ class PuppetEngine:
 @pytest.fixture(autouse=True)
 def nothing_is_demonstrated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trainings of tests show nothing of themselves, which would take longer than they do."""
-    monkeypatch.setattr(training, "Demonstration", lambda task, pattern, folder: None)
+    monkeypatch.setattr(work, "Demonstration", lambda task, pattern, folder: None)
 
 
 @pytest.fixture

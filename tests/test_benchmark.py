@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from aicpg_newton import benchmark as module
 from aicpg_newton.benchmark import BenchmarkOptions, Rates, benchmark, doubts, table, time_to_walk, walking_table
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError
+from aicpg_newton.learning import time_to_walk as walking
 from aicpg_newton.learning.time_to_walk import WalkingTime
 
 
@@ -100,7 +100,7 @@ def test_time_to_walk_of_some_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         trained.append((task.learning.epochs, options["engine"], options["num_envs"]))
         return WalkingTime(seed, True, 100.0 + seed, 1_000_000, 50.0, 10.0, 40.0 + seed, 180.0)
 
-    monkeypatch.setattr(module.walking, "time_to_walk", train)
+    monkeypatch.setattr(walking, "time_to_walk", train)
     task = get_task("flat")
     settings = replace(task, learning=replace(task.learning, epochs=3))
     options = BenchmarkOptions(time_to_walk=True, seeds=(0, 2), json=path, device="cpu", settings=settings)

@@ -14,11 +14,13 @@ from aicpg_newton.engines.mujoco import MujocoEngine
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.learning import checkpoint
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.plan import RunOptions
+from aicpg_newton.learning.training import train
 from aicpg_newton.playing.options import PlayOptions
 from aicpg_newton.playing.play import play
 from aicpg_newton.robot.humanoid import NUM_JOINTS, motors
-from aicpg_newton.viewing import FilmstripRow, VideoWriter, save_filmstrip
+from aicpg_newton.viewing.filmstrip import FilmstripRow, save_filmstrip
+from aicpg_newton.viewing.video import VideoWriter
 
 resource = pytest.importorskip("resource", reason="this system has no limits on the size of files")
 

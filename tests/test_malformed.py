@@ -21,19 +21,20 @@ import tyro
 from aicpg_newton import benchmark, compare, evaluate, play, publish, train
 from aicpg_newton.engines.interface import Physics
 from aicpg_newton.engines.model import build
+from aicpg_newton.env import environment
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.methods import DEFAULT_METHOD, METHODS
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.evaluation import run as evaluating
 from aicpg_newton.figures import draw
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
-from aicpg_newton.learning import time_to_walk, training
+from aicpg_newton.learning import time_to_walk, work
+from aicpg_newton.learning.plan import RunOptions, task_of
 from aicpg_newton.learning.policy import load_policy
+from aicpg_newton.learning.training import train as train_policy
 from aicpg_newton.motion import __main__ as motion
 from aicpg_newton.places import ASSETS
-from aicpg_newton.playing import sources
 from aicpg_newton.playing.options import PlayOptions
 from aicpg_newton.robot.humanoid import MJCF_PATH, motors
 from tests import malformed
@@ -74,8 +75,8 @@ def nothing_is_built(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def reached(*arguments: object, **options: object) -> None:
         raise Reached
 
-    for module in (training, sources, evaluating, benchmark, time_to_walk):
-        monkeypatch.setattr(module, "engine_for", reached, raising=False)
+    for module in (environment, work, time_to_walk):
+        monkeypatch.setattr(module, "engine_for", reached)
     monkeypatch.setattr(motion, "fit_pattern_network", reached)
     monkeypatch.setattr(publish, "side_by_side", reached)
     monkeypatch.setattr(draw, "_save", lambda figure, path: path)
@@ -173,9 +174,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     task.learning.hidden_sizes = (8,)
     task.learning.steps_per_iteration = 2
     folder = tmp_path_factory.mktemp("runs") / "run"
-    return training.train(
-        task, training.RunOptions(num_envs=2, device="cpu", engine="mujoco", max_iterations=1, run_dir=folder)
-    )
+    return train_policy(task, RunOptions(num_envs=2, device="cpu", engine="mujoco", max_iterations=1, run_dir=folder))
 
 
 def test_clips(tally: Tally, tmp_path: Path):
@@ -256,7 +255,7 @@ def test_contents_of_checkpoints(door: str, tally: Tally, trained: Path, tmp_pat
 def test_networks_of_checkpoints(tally: Tally, trained: Path, puppet, pattern: PatternNetwork):
     """They are refused where they do not fit."""
     content = torch.load(trained, weights_only=True)
-    task = training.task_of(trained)
+    task = task_of(trained)
     environment = Environment(task, puppet(2), pattern)
     for name, changed in malformed.of_content(content["algorithm"], 2):
         if name.startswith(("optimizer", "without optimizer", "a neighbour of optimizer")):
@@ -321,7 +320,7 @@ DOORS: dict[str, tuple[Callable[[], None], list[str]]] = {
     **{
         f"train {name}": (
             train.command,
-            [*numbers_of(training.RunOptions), *numbers_of(method.task)]
+            [*numbers_of(RunOptions), *numbers_of(method.task)]
             if name == DEFAULT_METHOD
             else [option for option in numbers_of(method.task) if option not in set(numbers_of(Task))],
         )

@@ -15,7 +15,9 @@ from aicpg_newton.device import cpu_cores
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError
 from aicpg_newton.files import WholeFile, only_one, write_text
-from aicpg_newton.learning.training import RunOptions, signals_that_interrupt, train
+from aicpg_newton.learning.plan import RunOptions
+from aicpg_newton.learning.training import train
+from aicpg_newton.learning.work import signals_that_interrupt
 from aicpg_newton.playing.options import PlayOptions
 from aicpg_newton.playing.play import play
 

@@ -17,7 +17,6 @@ import torch
 import aicpg_newton
 from aicpg_newton.device import resolve_device
 from aicpg_newton.engines import Engine
-from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import metrics, results, summaries, terrain_summaries, transition_summaries
@@ -80,6 +79,8 @@ class Laboratory:
 
     def engine_of(self, task: Task, number: int) -> Engine:
         """The engine with the task's physics, ground and motors, for so many environments."""
+        from aicpg_newton.env.environment import engine_for  # here: it takes seconds to load, and options may be wrong
+
         motors = [values.tolist() for values in vars(task.motors()).values()]
         world = (task.physics, task.ground, motors, number)
         if world not in self._worlds:
@@ -104,6 +105,8 @@ class Laboratory:
             content: Content of the checkpoint; None for no reflexes.
             terrain_seed: Seed of the ground, unless that is a plane.
         """
+        from aicpg_newton.env.environment import Environment
+
         task = on_terrain(controller.task.undisturbed(), terrain_seed)
         task.pushes = protocol.pushes()
         task.termination.episode_steps = protocol.steps + 1

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 
 from aicpg_newton.engines.terrain import Terrain
-from aicpg_newton.env.environment import Environment
 from aicpg_newton.evaluation import metrics
 from aicpg_newton.evaluation.protocols import Protocol
 from aicpg_newton.learning.policy import Agent
@@ -17,6 +17,9 @@ from aicpg_newton.playing.rollout import Tally, physical_frames, share_out
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE, NUM_JOINTS
 from aicpg_newton.robot.kinematics import centre_of_mass, sole_corners
 from aicpg_newton.robot.locomotion import feet_on_ground
+
+if TYPE_CHECKING:
+    from aicpg_newton.env.environment import Environment
 
 WARM_UP = round(1.0 * CONTROL_RATE)
 """Steps after every start that no measure counts: the first second, in which the start state dies away."""

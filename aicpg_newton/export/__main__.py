@@ -13,9 +13,7 @@ from pathlib import Path
 import tyro
 
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.export.controller import Controller, check_packages, write_onnx
-from aicpg_newton.export.model import stock_model
-from aicpg_newton.export.web import check_source, write_page
+from aicpg_newton.export.requirements import check_packages, check_source
 from aicpg_newton.files import write_text
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.policy import Trained
@@ -44,7 +42,14 @@ def export(options: ExportOptions) -> None:
     check_packages()
     if options.web is not None:
         check_source()
-    controller = Controller(Trained.read(options.checkpoint or checkpoint.best_for("flat")))
+    trained = Trained.read(options.checkpoint or checkpoint.best_for("flat"))
+
+    # here: engines and rsl_rl take seconds to load, and what is above may be wrong
+    from aicpg_newton.export.controller import Controller, write_onnx
+    from aicpg_newton.export.model import stock_model
+    from aicpg_newton.export.web import write_page
+
+    controller = Controller(trained)
     folders = [folder for folder in (options.out, options.web) if folder is not None]
     for folder in folders:
         _make_folder(folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import logging
 import warnings
@@ -56,10 +55,6 @@ OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
     "next_phase": ((), "phase of the rhythm generator a control step later [rad]"),
 }
 """Outputs in order, in the same way."""
-
-
-_EXTRA = ("onnx", "onnxscript")
-"""Packages that write the file; they come with the extra ``export``."""
 
 
 class Controller(nn.Module):
@@ -156,17 +151,6 @@ class Controller(nn.Module):
             "humanoid": fingerprint(),
         }
         return {name: each if isinstance(each, str) else json.dumps(each) for name, each in facts.items()}
-
-
-def check_packages() -> None:
-    """Look for what the export needs beside the package.
-
-    Raises:
-        UserError: It is not installed.
-    """
-    missing = [name for name in _EXTRA if importlib.util.find_spec(name) is None]
-    if missing:
-        raise UserError(f'the export needs {" and ".join(missing)}; run: pip install -e ".[export]"')
 
 
 def write_onnx(controller: Controller, paths: Sequence[Path]) -> None:

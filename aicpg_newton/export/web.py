@@ -15,13 +15,10 @@ from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.errors import UserError
 from aicpg_newton.export.controller import INPUTS, Controller
 from aicpg_newton.export.model import stock_model
+from aicpg_newton.export.requirements import SOURCE
 from aicpg_newton.files import write_text
-from aicpg_newton.places import ASSETS
 from aicpg_newton.playing.attended import TURN_RATE
 from aicpg_newton.robot.humanoid import CONTROL_RATE, GRAVITY, LEG_LENGTH
-
-SOURCE = ASSETS.parent / "web"
-"""Source of the page, in a checkout."""
 
 _GROUND = Ground(height_range=0.1, length=32.0, width=32.0, seed=1000)
 """Uneven ground as high as the paper's, of a seed that no training takes by itself."""
@@ -72,18 +69,6 @@ def endless(ground: Ground) -> Terrain:
     heights = torch.cat((heights, heights[:1]), dim=0)
     heights = torch.cat((heights, heights[:, :1]), dim=1)
     return Terrain(replace(ground, length=2 * ground.length, width=2 * ground.width), heights)
-
-
-def check_source() -> None:
-    """Look for what the build needs.
-
-    Raises:
-        UserError: It is not there.
-    """
-    if not SOURCE.is_dir():
-        raise UserError("the page's source is not part of the installed package; give --web in a checkout of it")
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        raise UserError("the page is built with Node.js and npm, which are not here; install Node.js 20 or later")
 
 
 def _build(folder: Path) -> None:

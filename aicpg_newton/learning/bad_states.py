@@ -8,7 +8,6 @@ from typing import Any
 import torch
 
 from aicpg_newton.engines import Engine
-from aicpg_newton.env.environment import engine_for
 from aicpg_newton.env.faults import CAUSES, cause_of
 from aicpg_newton.env.registry import task_from_dict
 from aicpg_newton.errors import UserError
@@ -64,6 +63,8 @@ def step_again(content: dict[str, Any], source: str) -> tuple[Engine, list[str]]
     Returns:
         The engine after the step, and each robot's cause now; empty where the step went well.
     """
+    from aicpg_newton.env.environment import engine_for  # here: it takes seconds to load, and a file may be torn
+
     robots = content["robots"]
     number = len(robots["cause"])
     engine = engine_for(task_from_dict(content["task"], source), content["engine"], number, "cpu")

@@ -12,6 +12,9 @@ from aicpg_newton.errors import UserError
 _HERE = Path(__file__).resolve().parent
 _CLAIM = ".claimed"
 
+CONFIG_NAME = "config.yaml"
+"""File in a run folder with every setting as it was used."""
+
 RUNNING = ".running"
 """File in a run folder that the process that trains there has locked, from its beginning to its end."""
 

@@ -24,8 +24,7 @@ from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.trial import FREQUENCIES, Trial
 from aicpg_newton.robot.humanoid import CONTROL_RATE
 from aicpg_newton.robot.locomotion import feet_on_ground
-from aicpg_newton.viewing import VideoWriter
-from aicpg_newton.viewing.video import FRAME_RATE
+from aicpg_newton.viewing.video import FRAME_RATE, VideoWriter
 
 ROBOTS = 8
 """Robots of each gait."""

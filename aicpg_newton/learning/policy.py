@@ -7,16 +7,17 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
-from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.registry import task_from_dict
 from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
-from aicpg_newton.learning.runner import Runner
+
+if TYPE_CHECKING:
+    from aicpg_newton.env.environment import Environment
 
 Agent = Callable[[torch.Tensor], torch.Tensor]
 """Observations, shape [num_envs, ...], to actions, shape [num_envs, 28]."""
@@ -57,6 +58,8 @@ def load_network(environment: Environment, trained: dict[str, Any]) -> torch.nn.
     Raises:
         UserError: The network does not fit the environment.
     """
+    from aicpg_newton.learning.runner import Runner  # here: rsl_rl takes seconds to load, and a file may be torn
+
     with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints the layers of every network it makes
         runner = Runner(environment, trained["run"])
     runner.take_networks(trained, "actor")

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import torch
 
 from aicpg_newton.engines.terrain import Terrain
-from aicpg_newton.env.environment import Environment
 from aicpg_newton.learning.policy import Agent
 from aicpg_newton.playing.rollout import Frame, Tally, physical_frames
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
 from aicpg_newton.robot.locomotion import feet_on_ground, froude_number
 from aicpg_newton.viewing.desk import DIRECTIONS, ChangeGround, Desk, Push, Ramp, Readings, Restart, Wish
+
+if TYPE_CHECKING:
+    from aicpg_newton.env.environment import Environment
 
 TURN_RATE = 0.25
 """How fast the stride frequency follows the slider [Hz/s]; at 0.5 robots fell when it was turned from 1.35 to 0.85."""

@@ -8,8 +8,7 @@ from typing import Annotated, Literal, Self
 
 from aicpg_newton.ranges import ENVIRONMENTS, SEED, Range, check_ranges
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
-from aicpg_newton.viewing import LIVE_KINDS
-from aicpg_newton.viewing.live import has_screen, missing_packages
+from aicpg_newton.viewing.kinds import LIVE_KINDS, has_screen, missing_packages
 from aicpg_newton.viewing.output import writable_path
 
 FREQUENCIES = (0.9, 1.1, 1.3)

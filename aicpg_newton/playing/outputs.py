@@ -16,8 +16,10 @@ from aicpg_newton.playing.options import PlayOptions
 from aicpg_newton.playing.rollout import Frame, Tally
 from aicpg_newton.playing.sources import Motion
 from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
-from aicpg_newton.viewing import LIVE_KINDS, FilmstripRow, LiveViewer, VideoWriter, save_filmstrip
-from aicpg_newton.viewing.filmstrip import POSES
+from aicpg_newton.viewing.filmstrip import POSES, FilmstripRow, save_filmstrip
+from aicpg_newton.viewing.kinds import LIVE_KINDS
+from aicpg_newton.viewing.live import LiveViewer
+from aicpg_newton.viewing.video import VideoWriter
 
 
 class Output(Protocol):

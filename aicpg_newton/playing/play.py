@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from aicpg_newton.env.task import Task
 from aicpg_newton.playing.options import PlayOptions
-from aicpg_newton.playing.outputs import outputs_of
 from aicpg_newton.playing.rollout import Tally
 from aicpg_newton.playing.sources import SOURCES, Basis
 
@@ -22,6 +21,8 @@ def play(options: PlayOptions, task: Task) -> Tally:
     options = options.settled()
     steps = options.steps()
     motion = SOURCES[options.agent](options, Basis.of(options, task), steps)
+    from aicpg_newton.playing.outputs import outputs_of  # here: viewers take seconds to load, and options may be wrong
+
     with outputs_of(options, motion) as outputs:
         for step, frame in enumerate(motion.frames, start=1):
             if not all([output.take(frame, step) for output in outputs]):

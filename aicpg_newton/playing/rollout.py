@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import torch
 
 from aicpg_newton.device import torch_threads
-from aicpg_newton.env.environment import Environment
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
 from aicpg_newton.gait.poses import gait_pose
 from aicpg_newton.learning.policy import Agent
 from aicpg_newton.robot.humanoid import CONTROL_DT, NUM_JOINTS
-from aicpg_newton.viewing import Readings
+from aicpg_newton.viewing.desk import Readings
+
+if TYPE_CHECKING:
+    from aicpg_newton.env.environment import Environment
 
 
 def no_action(observed: torch.Tensor) -> torch.Tensor:

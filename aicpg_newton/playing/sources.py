@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from aicpg_newton.device import resolve_device
 from aicpg_newton.engines.terrain import Ground, Terrain
-from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.methods import condition, get_method, on_task
 from aicpg_newton.env.registry import TASKS, get_task
 from aicpg_newton.env.task import Task
@@ -21,7 +20,11 @@ from aicpg_newton.learning.policy import Agent, Trained, load_policy
 from aicpg_newton.playing.attended import Attended
 from aicpg_newton.playing.options import FREQUENCIES, PlayOptions
 from aicpg_newton.playing.rollout import Frame, Tally, kinematic_frames, no_action, physical_frames, share_out
-from aicpg_newton.viewing import LIVE_KINDS, Desk
+from aicpg_newton.viewing.desk import Desk
+from aicpg_newton.viewing.kinds import LIVE_KINDS
+
+if TYPE_CHECKING:
+    from aicpg_newton.env.environment import Environment
 
 _TERRAIN_SEED = 1000
 
@@ -151,6 +154,8 @@ def _physical(options: PlayOptions, basis: Basis, steps: int, agent_of: Callable
     grounds = {_name_of(basis.task.ground): basis.task}
 
     def begin(ground: str) -> tuple[Environment, Agent]:
+        from aicpg_newton.env.environment import Environment, engine_for  # here: seconds to load, options may be wrong
+
         task = grounds[ground].undisturbed()
         task = replace(task, termination=replace(task.termination, episode_steps=steps + 1))
         engine = engine_for(task, options.engine, len(frequencies), device)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import time as clock
 import webbrowser
 from collections import deque
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -20,40 +17,16 @@ from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot.humanoid import CONTROL_RATE
 from aicpg_newton.viewing.desk import Desk, Readings, Restart, Turn
+from aicpg_newton.viewing.kinds import LIVE_KINDS, VIEWER_KINDS, has_screen, missing_packages
 from aicpg_newton.viewing.output import writable_path
 from aicpg_newton.viewing.page import Panel
 from aicpg_newton.viewing.stage import Floor, Stage
 
-VIEWER_KINDS = ("viser", "gl", "usd", "none")
-"""viser: in a browser; gl: a window; usd: a file to open elsewhere; none: nothing."""
-
-_PACKAGES = {
-    "viser": {"viser": "viser"},
-    "gl": {"pyglet": "pyglet", "imgui_bundle": "imgui-bundle"},
-    "usd": {"pxr": "usd-core"},
-    "none": {},
-}
-"""Modules that each kind imports, and what pip calls their packages."""
-
 _PAUSE = 1.0 / 30.0
 """Time between two looks at a paused viewer's panel [s]."""
 
-LIVE_KINDS = ("viser", "gl")
-"""Those that somebody watches while the simulation runs."""
-
-
 _PACE_STEPS = round(CONTROL_RATE)
 """Control steps over which the pace is taken: a second."""
-
-
-def missing_packages(kind: str) -> list[str]:
-    """What pip has to install before a viewer of this kind can be opened."""
-    return [package for module, package in _PACKAGES[kind].items() if find_spec(module) is None]
-
-
-def has_screen() -> bool:
-    """Whether somebody sits in front of this machine, so that a browser can be opened."""
-    return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 class LiveViewer:

@@ -11,7 +11,8 @@ from aicpg_newton.engines.terrain import Ground
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.gait.cpg import PatternNetwork
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.plan import RunOptions
+from aicpg_newton.learning.training import train
 from aicpg_newton.robot import humanoid
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

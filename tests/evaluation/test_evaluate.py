@@ -20,7 +20,8 @@ from aicpg_newton.evaluation import run as running
 from aicpg_newton.evaluation.controllers import cpg_alone, trained
 from aicpg_newton.evaluation.protocols import PROTOCOLS
 from aicpg_newton.evaluation.run import Laboratory, evaluate
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.plan import RunOptions
+from aicpg_newton.learning.training import train
 
 ROOT = Path(__file__).resolve().parents[2]
 

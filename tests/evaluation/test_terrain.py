@@ -10,6 +10,7 @@ import torch
 
 from aicpg_newton import evaluate as command_line
 from aicpg_newton.engines.terrain import Terrain
+from aicpg_newton.env import environment
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
@@ -38,7 +39,7 @@ def worlds(monkeypatch: pytest.MonkeyPatch, glider) -> list[Task]:
         name: replace(protocol, duration=2.5 if protocol.whole_training else 3.5)
         for name, protocol in PROTOCOLS.items()
     }
-    monkeypatch.setattr(running, "engine_for", engine_for)
+    monkeypatch.setattr(environment, "engine_for", engine_for)
     monkeypatch.setattr(running, "SWEEP", protocols["sweep"])
     monkeypatch.setattr(command_line, "PROTOCOLS", protocols)
     return made

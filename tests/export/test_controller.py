@@ -12,6 +12,7 @@ from aicpg_newton.env.actuation import PatternActuation
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.errors import UserError
 from aicpg_newton.export import controller as exporting
+from aicpg_newton.export import requirements
 from aicpg_newton.export.controller import INPUTS, OUTPUTS, Controller
 from aicpg_newton.gait.cpg import pd_torque
 from aicpg_newton.learning import checkpoint
@@ -141,6 +142,6 @@ def test_baselines_are_refused(baseline: str):
 
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Before any work is done."""
-    monkeypatch.setattr(exporting, "_EXTRA", ("onnx", "no_such_package"))
+    monkeypatch.setattr(requirements, "_EXTRA", ("onnx", "no_such_package"))
     with pytest.raises(UserError, match=r"needs no_such_package; run: pip install -e \"\.\[export\]\""):
-        exporting.check_packages()
+        requirements.check_packages()

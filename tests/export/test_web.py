@@ -20,7 +20,7 @@ from aicpg_newton.engines.mujoco import MujocoEngine
 from aicpg_newton.engines.terrain import Ground
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError
-from aicpg_newton.export import web
+from aicpg_newton.export import requirements, web
 from aicpg_newton.export.__main__ import ExportOptions, export
 from aicpg_newton.export.model import stock_model
 from aicpg_newton.gait.cpg import PatternNetwork
@@ -62,7 +62,7 @@ def test_without_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 def test_without_its_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """As in a wheel."""
-    monkeypatch.setattr(web, "SOURCE", tmp_path / "web")
+    monkeypatch.setattr(requirements, "SOURCE", tmp_path / "web")
     with pytest.raises(UserError, match="not part of the installed package; give --web in a checkout"):
         export(ExportOptions(web=tmp_path / "page"))
 

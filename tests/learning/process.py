@@ -20,9 +20,10 @@ from aicpg_newton.errors import run_command
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import distributed
 from aicpg_newton.learning.amp import AdversarialMotionPriors
+from aicpg_newton.learning.plan import RunOptions
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.settings import runner_settings
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import train
 from aicpg_newton.robot.humanoid import NUM_JOINTS
 from aicpg_newton.robot.mirror import Mirror
 

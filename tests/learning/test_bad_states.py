@@ -18,8 +18,9 @@ from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import bad_states
 from aicpg_newton.learning.amp import AdversarialMotionPriors
+from aicpg_newton.learning.plan import RunOptions
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import train
 
 
 def small_task(method: str = "ai-cpg") -> Task:

@@ -11,12 +11,12 @@ from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from aicpg_newton.env.registry import get_task
-from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
-from aicpg_newton.learning import checkpoint, demonstration, training
+from aicpg_newton.learning import checkpoint, demonstration, work
 from aicpg_newton.learning.demonstration import ROBOTS, Demonstration, as_gif
+from aicpg_newton.learning.plan import RunOptions
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import train
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_a_baseline_has_one_gait(pattern: PatternNetwork, tmp_path: Path, short)
 def test_a_training_shows_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logger: Any):
     """Curves at every checkpoint, films at every second, in TensorBoard too; without a log there are films alone."""
     monkeypatch.setattr(demonstration, "DURATION", 0.2)
-    monkeypatch.setattr(training, "Demonstration", Demonstration)
+    monkeypatch.setattr(work, "Demonstration", Demonstration)
     task = get_task("flat")
     task.learning.hidden_sizes, task.learning.steps_per_iteration, task.learning.save_interval = (16,), 4, 1
     options = RunOptions(num_envs=4, device="cpu", max_iterations=5, run_dir=tmp_path, film_every=2, logger=logger)
@@ -87,11 +87,3 @@ def test_a_training_shows_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert [event.step for event in events.Scalars("Demonstration/0.9_Hz_stand")] == [1, 2, 3, 4]
     shown = events.Images("Demonstration/1.3_Hz")
     assert [event.step for event in shown] == [2, 4] and shown[0].encoded_image_string.startswith(b"GIF89a")
-
-
-def test_a_logger_that_is_not_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    """One sentence says what to install, before anything is written."""
-    monkeypatch.setattr(training, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match="pip install wandb"):
-        train(get_task("flat"), RunOptions(device="cpu", logger="wandb", run_dir=tmp_path / "run"))
-    assert not (tmp_path / "run").exists()

@@ -20,9 +20,10 @@ from aicpg_newton.env.registry import get_task
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint, distributed
+from aicpg_newton.learning.plan import RunOptions
 from aicpg_newton.learning.policy import Trained, load_policy
 from aicpg_newton.learning.runner import Runner, TimeIsUp
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import train
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SCRIPT = Path(__file__).with_name("process.py")

@@ -19,9 +19,10 @@ from aicpg_newton.learning.equivariant import (
     SymmetricNormalization,
     halves,
 )
+from aicpg_newton.learning.plan import RunOptions
 from aicpg_newton.learning.runner import Runner
 from aicpg_newton.learning.settings import runner_settings
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import train
 from aicpg_newton.robot.mirror import JOINTS
 
 MIRROR = mirror_of((*BODY, *PATTERN))

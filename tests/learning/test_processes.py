@@ -21,9 +21,10 @@ import torch
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.learning import checkpoint, resuming, training
+from aicpg_newton.learning import checkpoint, resuming, work
+from aicpg_newton.learning.plan import RunOptions
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import train
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 
@@ -134,7 +135,7 @@ def test_fifty_kills(kills: int, engine: str, puppet, tmp_path: Path, monkeypatc
 def killed_again_and_again(kills: int, engine: str, puppet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Begin a run, and kill and resume it; each time all is there but for an interval, and goes on exactly."""
     if engine == "auto":
-        monkeypatch.setattr(training, "engine_for", lambda task, name, num_envs, device: puppet(num_envs))
+        monkeypatch.setattr(work, "engine_for", lambda task, name, num_envs, device: puppet(num_envs))
     folder, dice, torn = tmp_path / "run", random.Random(7), 0
     before = 0
     for kill in range(kills):
@@ -163,7 +164,7 @@ def killed_again_and_again(kills: int, engine: str, puppet, tmp_path: Path, monk
 @in_a_fresh_interpreter
 def test_a_full_disk_is_one_sentence(room: int, sentence: str, puppet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """At the first file that does not fit; the last checkpoint and its state are as they were."""
-    monkeypatch.setattr(training, "engine_for", lambda task, name, num_envs, device: puppet(num_envs))
+    monkeypatch.setattr(work, "engine_for", lambda task, name, num_envs, device: puppet(num_envs))
     folder, said = tmp_path / "run", tmp_path / "said"
     options = RunOptions(num_envs=6, device="cpu", max_iterations=2, run_dir=folder)
     train(small_task(), options)
@@ -190,7 +191,7 @@ def test_a_full_disk_is_one_sentence(room: int, sentence: str, puppet, tmp_path:
 @in_a_fresh_interpreter
 def test_nobody_resumes_a_run_that_goes_on(puppet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """While it trains its folder is locked; once it is killed it is not."""
-    monkeypatch.setattr(training, "engine_for", lambda task, name, num_envs, device: puppet(num_envs))
+    monkeypatch.setattr(work, "engine_for", lambda task, name, num_envs, device: puppet(num_envs))
     folder = tmp_path / "run"
     read, write = os.pipe()
     process = in_a_process(lambda: run_for_ever(folder, "auto", write))

@@ -19,9 +19,10 @@ from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import ImitationTask, Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
+from aicpg_newton.learning.plan import RunOptions
 from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import train
 
 WALL_CLOCK = ("Perf/", "Train/mean_reward/time", "Train/mean_episode_length/time")
 """What is logged of time that passes, or over it."""

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from aicpg_newton.env.registry import get_task
+from aicpg_newton.learning.plan import RunOptions
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.training import train
 
 _MEMORY = Path("/proc/self/statm")
 

@@ -4,7 +4,6 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,10 @@ from aicpg_newton.env.task import ImitationTask, Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
+from aicpg_newton.learning.plan import RunOptions, task_of
 from aicpg_newton.learning.ppo import BoundedPPO
 from aicpg_newton.learning.runner import Runner
-from aicpg_newton.learning.training import RunOptions, task_of, train, with_networks_of
+from aicpg_newton.learning.training import train
 from aicpg_newton.robot.fingerprint import fingerprint
 
 
@@ -172,19 +172,6 @@ def test_a_new_run_may_begin_with_trained_networks(run: Path, tmp_path: Path):
         train(task, options(tmp_path / "third", start_from=shipped, resume=run))
 
 
-def test_a_new_run_builds_its_networks_as_those_it_begins_with():
-    """The shipped network is of the first version, an ordinary one; all other settings are today's."""
-    plain = get_task("uneven")
-    found = with_networks_of(plain, checkpoint.shipped("flat"))
-    own = task_of(checkpoint.shipped("flat"))
-    assert found.learning.network == own.learning.network
-    assert found.learning.hidden_sizes == own.learning.hidden_sizes
-    assert found.learning.reward_scale == own.learning.reward_scale == 0.1  # the critic's unit
-    names = ("network", "hidden_sizes", "activation", "reward_scale")
-    kept = {name: getattr(plain.learning, name) for name in names}
-    assert replace(found, learning=replace(found.learning, **kept)) == plain
-
-
 def test_physics_gets_the_cores_and_learning_all_threads(pattern: PatternNetwork, monkeypatch: pytest.MonkeyPatch):
     """While samples are collected torch has one thread; while the networks are updated it has all it had before."""
     seen = {}
@@ -254,27 +241,6 @@ def test_other_layer_sizes_cannot_resume(run: Path, tmp_path: Path):
     task.learning.hidden_sizes = (16, 16)
     with pytest.raises(UserError, match=r"--learning\.hidden-sizes 32 32"):
         train(task, options(tmp_path / "other", resume=run, max_iterations=3))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"num_envs": 0}, "--num-envs is 0"),
-        ({"max_iterations": 0}, "--max-iterations is 0"),
-        ({"max_minutes": 0.0}, "--max-minutes is 0"),
-        ({"start_from": Path("nowhere.pt")}, "no checkpoint at nowhere.pt"),
-        ({"engine": "bullet"}, "bullet"),
-        ({"learner_device": "cuda:0", "engine": "newton"}, "goes with --engine mujoco"),
-        ({"learner_device": "cuda:99"}, "'cuda:99' is not there"),
-        ({"pattern": Path("nowhere.pt")}, "no pattern network at nowhere.pt"),
-        ({"resume": Path("nowhere.pt")}, "no checkpoint at nowhere.pt"),
-    ],
-)
-def test_bad_options(tmp_path: Path, changes: dict, message: str):
-    """One sentence each, and no run folder is left."""
-    with pytest.raises(UserError, match=message):
-        train(small_task(), options(tmp_path / "never", **changes))
-    assert not (tmp_path / "never").exists()
 
 
 @pytest.mark.slow

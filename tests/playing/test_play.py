@@ -9,15 +9,17 @@ import pytest
 import torch
 from PIL import Image
 
+from aicpg_newton.env import environment
 from aicpg_newton.env.environment import engine_for
 from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import checkpoint
-from aicpg_newton.learning.training import RunOptions, train
+from aicpg_newton.learning.plan import RunOptions
+from aicpg_newton.learning.training import train
 from aicpg_newton.playing import options as options_module
-from aicpg_newton.playing import outputs, sources
+from aicpg_newton.playing import outputs
 from aicpg_newton.playing.options import PlayOptions
 from aicpg_newton.playing.play import play
 from aicpg_newton.playing.rollout import Tally, kinematic_frames
@@ -47,7 +49,7 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[Task]:
         tasks.append(task)
         return engine_for(task, *arguments)
 
-    monkeypatch.setattr(sources, "engine_for", noted)
+    monkeypatch.setattr(environment, "engine_for", noted)
     return tasks
 
 

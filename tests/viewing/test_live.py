@@ -13,8 +13,8 @@ import torch
 from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot.humanoid import NUM_JOINTS
-from aicpg_newton.viewing import Desk, LiveViewer
-from aicpg_newton.viewing.desk import Restart, Turn
+from aicpg_newton.viewing.desk import Desk, Restart, Turn
+from aicpg_newton.viewing.live import LiveViewer
 
 
 def pose(robots=1):
@@ -96,7 +96,7 @@ class FakeViewer:
 
 def fake(monkeypatch) -> None:
     """Let ``viser`` be a fake viewer."""
-    monkeypatch.setattr("aicpg_newton.viewing.live.find_spec", lambda module: module)
+    monkeypatch.setattr("aicpg_newton.viewing.kinds.find_spec", lambda module: module)
     monkeypatch.setattr(newton.viewer, "ViewerViser", FakeViewer)
     monkeypatch.setattr(newton.viewer, "ViewerGL", FakeViewer)
 

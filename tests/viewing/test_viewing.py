@@ -14,10 +14,10 @@ from aicpg_newton.errors import UserError
 from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import NUM_JOINTS, joint_index
 from aicpg_newton.robot.kinematics import sole_corners
-from aicpg_newton.viewing import FilmstripRow, Stage, VideoWriter, save_filmstrip
 from aicpg_newton.viewing.camera import Photographer, Studio, facing, parallel_rays
-from aicpg_newton.viewing.filmstrip import LABEL_WIDTH, TILE_HEIGHT, TILE_WIDTH
-from aicpg_newton.viewing.stage import LANE_WIDTH, Floor, Tracker
+from aicpg_newton.viewing.filmstrip import LABEL_WIDTH, TILE_HEIGHT, TILE_WIDTH, FilmstripRow, save_filmstrip
+from aicpg_newton.viewing.stage import LANE_WIDTH, Floor, Stage, Tracker
+from aicpg_newton.viewing.video import VideoWriter
 
 STANDING = 0.8815
 """Height of the pelvis frame when all joint angles are zero [m]."""
