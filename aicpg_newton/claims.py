@@ -1,4 +1,4 @@
-"""AI-CPG beside the other methods at the same speed, over seeds: python -m aicpg_newton.claims --results FOLDER."""
+"""AI-CPG beside the other methods, over seeds: python -m aicpg_newton.claims --results FOLDER."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import tyro
 
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.evaluation import claims, results
-from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP
+from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP, TERRAIN
 
 
 @dataclass(kw_only=True)
@@ -17,24 +17,32 @@ class ClaimOptions:
     """Which results."""
 
     results: tuple[Path, ...]
-    """Folders of evaluate or compare, together all methods: each with a sweep.csv, and a disturbance.csv for falls."""
+    """Folders of evaluate or compare, together all methods: each with a sweep.csv, and a disturbance.csv for falls, to
+    compare at the same speed; or with a terrain.csv, to compare on uneven ground in the same gait."""
 
 
 def main(options: ClaimOptions) -> list[claims.Comparison]:
-    """Compare, and print the table.
+    """Compare, and print a table for each kind of ground.
 
     Raises:
-        UserError: A folder holds no sweep, two hold the same training, or there is nothing to compare.
+        UserError: A folder holds no such results, two hold the same training, or there is nothing to compare.
     """
-    missing = [folder for folder in options.results if not (folder / f"{SWEEP.name}.csv").exists()]
-    if missing:
-        raise UserError(f"there is no {missing[0] / SWEEP.name}.csv; run the sweep protocol first")
-    sweep, disturbance = (results.read_together(options.results, name) for name in (SWEEP.name, DISTURBANCE.name))
-    comparisons = claims.compare(sweep, disturbance)
-    if not any(row["method"] == claims.OURS for row in sweep) or not comparisons:
+    for folder in options.results:
+        if not any((folder / f"{protocol.name}.csv").exists() for protocol in (SWEEP, TERRAIN)):
+            raise UserError(f"there is no sweep.csv and no terrain.csv in {folder}; run one of these protocols first")
+    sweep, disturbance, terrain = (
+        results.read_together(options.results, protocol.name) for protocol in (SWEEP, DISTURBANCE, TERRAIN)
+    )
+    tables = [claims.compare(sweep, disturbance), claims.compare_on_terrain(terrain)]
+    tables = [
+        found
+        for found, rows in zip(tables, (sweep, terrain), strict=True)
+        if found and any(row["method"] == claims.OURS for row in rows)
+    ]
+    if not tables:
         raise UserError(f"the folders do not hold {claims.OURS} and another method; give those of both")
-    print(claims.table(comparisons))
-    return comparisons
+    print("\n\n".join(map(claims.table, tables)))
+    return [comparison for found in tables for comparison in found]
 
 
 def command() -> None:

@@ -1,4 +1,7 @@
-"""Whether AI-CPG is better than the others at the same speed (paper, Sec. III-B), as far as seeds can tell."""
+"""Whether AI-CPG is better than the others, as far as seeds can tell.
+
+On a plane at the same speed (paper, Sec. III-B), on uneven ground in the same gait (Sec. III-D).
+"""
 
 from __future__ import annotations
 
@@ -20,21 +23,29 @@ QUANTITIES = {
     "symmetry_index": "symmetry index",
     "falls_per_minute": "falls a minute, pushed",
 }
-"""Columns that are compared: of all of them less is better."""
+"""Columns that are compared on a plane: of all of them less is better."""
+
+ON_TERRAIN = {
+    "survived": "share that never fell",
+    "symmetry_index": "symmetry index",
+    "balance_index": "balance index",
+    "cost_of_transport": "cost of transport",
+}
+"""Columns that are compared on uneven ground: more is better of the first and the third."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One quantity of another controller beside AI-CPG's at the same speed."""
+    """One quantity of another controller beside AI-CPG's at the same speed or in the same gait."""
 
     quantity: str
-    """A column of :data:`QUANTITIES`."""
+    """A column of :data:`QUANTITIES` or :data:`ON_TERRAIN`."""
     other: str
     """Method and condition, as ``PPO 2.5``."""
     speed: float
-    """Mean speed of the other's seeds, at which AI-CPG is looked up [m/s]."""
+    """Mean speed of the other's seeds, at which AI-CPG is looked up on a plane [m/s]."""
     ours: tuple[float, ...]
-    """AI-CPG's value at that speed, of each seed that reaches it."""
+    """AI-CPG's value there, of each seed that has one: on a plane, that reaches the speed."""
     theirs: tuple[float, ...]
     """The other's value, of each seed."""
 
@@ -118,6 +129,36 @@ def compare(sweep: Sequence[Row], disturbance: Sequence[Row]) -> list[Comparison
     return found
 
 
+def compare_on_terrain(terrain: Sequence[Row]) -> list[Comparison]:
+    """All comparisons that a table of uneven ground allows, by quantity, gait and speed; a seed's mean over terrains.
+
+    AI-CPG's robots at the frequency of a gait stand beside the networks that were trained for the same gait, at
+    whatever speed either goes.
+
+    Args:
+        terrain: Rows of the terrain protocol, of any seeds.
+    """
+    found = []
+    others = dict.fromkeys((row["gait"], row["method"], row["condition"]) for row in terrain if row["condition"])
+    for quantity in ON_TERRAIN:
+        group = []
+        for gait, method, condition in others:
+            mine = [row for row in terrain if (row["method"], row["gait"]) == (OURS, gait)]
+            other = (gait, method, condition)
+            theirs = [row for row in terrain if (row["gait"], row["method"], row["condition"]) == other]
+            speed = float(np.mean(_of_seeds(theirs, "speed_mps") or math.nan))
+            values = (_of_seeds(rows, quantity) for rows in (mine, theirs))
+            group.append((gait != "walking", Comparison(quantity, f"{method} {condition}", speed, *values)))
+        found += [each for _, each in sorted(group, key=lambda pair: (pair[0], pair[1].speed))]
+    return found
+
+
+def _of_seeds(rows: Iterable[Row], column: str) -> tuple[float, ...]:
+    """Each seed's mean, of the seeds that have a value."""
+    values = ([row[column] for row in each if math.isfinite(row[column])] for each in _by_seed(rows).values())
+    return tuple(float(np.mean(each)) for each in values if each)
+
+
 def _by_seed(rows: Iterable[Row]) -> dict[float, list[Row]]:
     """Rows of each seed."""
     seeds: dict[float, list[Row]] = {}
@@ -128,6 +169,7 @@ def _by_seed(rows: Iterable[Row]) -> dict[float, list[Row]]:
 
 def table(comparisons: Iterable[Comparison]) -> str:
     """The comparisons as a Markdown table: each seed's value, the difference of the means, and what it says."""
+    titles = QUANTITIES | ON_TERRAIN
     head = ("", "at [m/s]", "beside", "AI-CPG, each seed", "the other, each seed", "difference", "")
     lines = [head, ("---",) * len(head)]
     for each in comparisons:
@@ -135,5 +177,5 @@ def table(comparisons: Iterable[Comparison]) -> str:
         told = "-" if math.isnan(difference) else f"{difference:+.2f}"
         told += "" if math.isnan(half) else f" ± {half:.2f}"
         values = (", ".join(f"{value:.2f}" for value in values) or "-" for values in (each.ours, each.theirs))
-        lines.append((QUANTITIES[each.quantity], f"{each.speed:.2f}", each.other, *values, told, each.verdict))
+        lines.append((titles[each.quantity], f"{each.speed:.2f}", each.other, *values, told, each.verdict))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -55,6 +55,32 @@ def test_comparisons():
     assert claims.Comparison("cost_of_transport", "PPO 1", 1.0, (2.0,), (1.0, 1.1)).verdict == "too few seeds"
 
 
+def test_comparisons_on_uneven_ground():
+    """In the same gait, a seed's mean over terrains; what has no value is left out."""
+    terrain: list[Row] = []
+    for method, condition, gait, speed, costs in (
+        (claims.OURS, "", "walking", 1.5, (0.8, 0.9)),
+        (claims.OURS, "", "running", 3.0, (1.0, 1.2)),
+        ("PPO", "1.5", "walking", 1.4, (0.5, 0.7)),
+        ("PPO", "3.5", "running", 3.2, (2.0, math.nan)),
+        ("AMP", "run", "running", 2.9, (1.0, 1.0)),
+    ):
+        for seed, cost in enumerate(costs):
+            for terrain_seed, more in ((1001, -0.1), (1002, 0.1)):
+                told = row(method, condition, seed, speed, cost + more, survived=0.9 + more)
+                terrain.append({**told, "gait": gait, "terrain_seed": terrain_seed, "balance_index": 1.0 - 0.1 * cost})
+    found = claims.compare_on_terrain(terrain)
+    assert [each.other for each in found] == ["PPO 1.5", "AMP run", "PPO 3.5"] * 4  # by gait, then by speed
+    assert [each.quantity for each in found] == [name for name in claims.ON_TERRAIN for _ in range(3)]
+    walk, run, fast = found[9:]
+    assert walk.ours == pytest.approx((0.8, 0.9)) and walk.theirs == pytest.approx((0.5, 0.7))
+    assert run.ours == fast.ours == pytest.approx((1.0, 1.2)) and fast.theirs == pytest.approx((2.0,))
+    assert walk.speed == pytest.approx(1.4) and fast.verdict == "too few seeds"
+    assert found[0].ours == pytest.approx((0.9, 0.9)) and found[6].theirs == pytest.approx((0.95, 0.93))
+    assert "| share that never fell | 1.40 | PPO 1.5 | 0.90, 0.90 |" in claims.table(found)
+    assert claims.compare_on_terrain([]) == []
+
+
 def test_the_interval_holds_as_often_as_it_says():
     """Of two groups of three with the same mean and unlike spreads: 95 % of intervals hold 0, or a few more."""
     random = np.random.default_rng(0)
@@ -76,5 +102,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         main(ClaimOptions(results=(docs / "flat_20_million",)))
     with pytest.raises(UserError, match="two of the folders hold sweep results of AI-CPG, seed 0; give one at a time"):
         main(ClaimOptions(results=(docs / "seeds", docs / "flat_20_million")))
-    with pytest.raises(UserError, match=r"there is no .*sweep.csv"):
+    uneven = main(ClaimOptions(results=(docs.parent / "assets" / "policies" / "uneven_baselines_evaluation",)))
+    printed = capsys.readouterr().out
+    assert len(printed.splitlines()) == 2 + len(uneven) and "| share that never fell |" in printed
+    with pytest.raises(UserError, match=r"there is no sweep.csv and no terrain.csv in"):
         main(ClaimOptions(results=(tmp_path,)))
