@@ -272,9 +272,9 @@ def time_to_walk(options: BenchmarkOptions) -> list[WalkingTime]:
     Raises:
         UserError: An option cannot be met.
     """
-    from aicpg_newton.learning import time_to_walk as walking
-
     device, where = _check(options)
+    from aicpg_newton.learning import time_to_walk as walking  # here: seconds to load, and options may be wrong
+
     name = engine_name(options.engines[0] if options.engines else "auto", device)
     learner_device = resolve_learner_device(options.learner_device, name, device)
     task, num_envs = options.settings, options.num_envs[0]

@@ -33,12 +33,8 @@ def main(options: ClaimOptions) -> list[claims.Comparison]:
     sweep, disturbance, terrain = (
         results.read_together(options.results, protocol.name) for protocol in (SWEEP, DISTURBANCE, TERRAIN)
     )
-    tables = [claims.compare(sweep, disturbance), claims.compare_on_terrain(terrain)]
-    tables = [
-        found
-        for found, rows in zip(tables, (sweep, terrain), strict=True)
-        if found and any(row["method"] == claims.OURS for row in rows)
-    ]
+    grounds = ((claims.compare(sweep, disturbance), sweep), (claims.compare_on_terrain(terrain), terrain))
+    tables = [found for found, rows in grounds if found and any(row["method"] == claims.OURS for row in rows)]
     if not tables:
         raise UserError(f"the folders do not hold {claims.OURS} and another method; give those of both")
     print("\n\n".join(map(claims.table, tables)))

@@ -52,6 +52,7 @@ def call(*arguments: str) -> tuple[int, str, str, set[str]]:
         (["-m", "aicpg_newton.evaluate", "--out", "nowhere", "--checkpoint", "nowhere.pt"], "no checkpoint at nowhere"),
         (["-m", "aicpg_newton.compare", "--out", "nowhere", "--methods", "dance"], "dance"),
         (["-m", "aicpg_newton.benchmark", "--device", "cuda:7"], "'cuda:7' is not there"),
+        (["-m", "aicpg_newton.benchmark", "--time-to-walk", "--device", "cuda:7"], "'cuda:7' is not there"),
         (["-m", "aicpg_newton.publish", "--checkpoint", "nowhere.pt", "--replace"], "no checkpoint at nowhere.pt"),
         (["-m", "aicpg_newton.export", "--checkpoint", "nowhere.pt"], "nothing to do; give --out DIR"),
     ],

@@ -138,19 +138,19 @@ def compare_on_terrain(terrain: Sequence[Row]) -> list[Comparison]:
     Args:
         terrain: Rows of the terrain protocol, of any seeds.
     """
-    found = []
-    others = dict.fromkeys((row["gait"], row["method"], row["condition"]) for row in terrain if row["condition"])
-    for quantity in ON_TERRAIN:
-        group = []
-        for gait, method, condition in others:
-            mine = [row for row in terrain if (row["method"], row["gait"]) == (OURS, gait)]
-            other = (gait, method, condition)
-            theirs = [row for row in terrain if (row["gait"], row["method"], row["condition"]) == other]
-            speed = float(np.mean(_of_seeds(theirs, "speed_mps") or math.nan))
-            values = (_of_seeds(rows, quantity) for rows in (mine, theirs))
-            group.append((gait != "walking", Comparison(quantity, f"{method} {condition}", speed, *values)))
-        found += [each for _, each in sorted(group, key=lambda pair: (pair[0], pair[1].speed))]
-    return found
+    others = []
+    for other in dict.fromkeys((row["gait"], row["method"], row["condition"]) for row in terrain if row["condition"]):
+        gait, method, condition = other
+        mine = [row for row in terrain if (row["method"], row["gait"]) == (OURS, gait)]
+        theirs = [row for row in terrain if (row["gait"], row["method"], row["condition"]) == other]
+        speed = float(np.mean(_of_seeds(theirs, "speed_mps") or math.nan))
+        others.append((gait != "walking", speed, f"{method} {condition}", mine, theirs))
+    others.sort(key=lambda each: each[:2])
+    return [
+        Comparison(quantity, name, speed, _of_seeds(mine, quantity), _of_seeds(theirs, quantity))
+        for quantity in ON_TERRAIN
+        for _, speed, name, mine, theirs in others
+    ]
 
 
 def _of_seeds(rows: Iterable[Row], column: str) -> tuple[float, ...]:
