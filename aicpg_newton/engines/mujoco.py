@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -109,8 +110,7 @@ class MujocoEngine:
         assert mujoco.mj_stateSize(self.model, _STATE) == rest.size
         self._rest = rest
         self._rows: _Array = np.tile(rest, (num_envs, 1))
-        self._qpos = self._rows[:, 1 : 1 + self.model.nq]
-        self._qvel = self._rows[:, 1 + self.model.nq :]
+        self._batch = torch.from_numpy(self._rows)  # the same memory
         self._inputs: _Array = np.zeros((num_envs, physics.substeps, mujoco.mj_stateSize(self.model, _INPUT)))
         self._trajectory: _Array = np.zeros((num_envs, physics.substeps, rest.size))
         self._readings: _Array = np.zeros((num_envs, physics.substeps, self.model.nsensordata))
@@ -150,8 +150,8 @@ class MujocoEngine:
         self.spec = spec
         """What the model was made from, with Newton's names."""
         model = self.model = spec.compile()
-        self._coordinates = model.jnt_qposadr[joints]
-        self._dofs = model.jnt_dofadr[joints]
+        self._coordinates = torch.from_numpy(model.jnt_qposadr[joints]).long()
+        self._dofs = torch.from_numpy(model.jnt_dofadr[joints]).long()
         self._spine = self._coordinates[[joint_index(name) for name in SPINE_JOINTS]]
         position_actuator = {}
         velocity_actuator = {}
@@ -166,6 +166,7 @@ class MujocoEngine:
         self._torso_offset, self._head_offset = (
             torch.tensor(model.body_pos[bodies[link]], dtype=torch.float32) for link in (_TORSO, _HEAD)
         )
+        self._head_centre = torch.tensor(HEAD_CENTRE)
 
     def step(
         self,
@@ -209,21 +210,19 @@ class MujocoEngine:
 
     def reset(self, mask: torch.Tensor, start: BodyState) -> None:
         """See :meth:`Engine.reset`. MuJoCo's free joint carries the angular velocity in the pelvis frame."""
-        to_pelvis = rotations.conjugate(start.root_rotation.double())
-        local = rotations.rotate(to_pelvis, start.root_angular_velocity.double())
-        rows = mask.numpy()
-        qpos, qvel = np.empty_like(self._qpos), np.empty_like(self._qvel)
-        qpos[:, :3] = start.root_position.numpy()
-        qpos[:, _XYZW] = start.root_rotation.numpy()
-        qpos[:, self._coordinates] = start.joint_position.numpy()
-        qvel[:, :3] = start.root_linear_velocity.numpy()
-        qvel[:, 3:ROOT_DOFS] = local.numpy()
-        qvel[:, self._dofs] = start.joint_velocity.numpy()
-        self._qpos[rows] = qpos[rows]
-        self._qvel[rows] = qvel[rows]
-        self._rows[rows, 0] = 0.0  # the clock of an environment that was not finite
-        self._torque.masked_fill_(mask.unsqueeze(1), 0.0)
-        self._foot_wrench.masked_fill_(mask[:, None, None], 0.0)
+        new = BodyState(**{each.name: getattr(start, each.name)[mask].double() for each in fields(BodyState)})
+        batch = self._batch.new_zeros(len(new.root_position), self._batch.shape[1])  # the clock, too: it may be NaN
+        qpos, qvel = self._parts(batch)
+        qpos[:, :3], qpos[:, _XYZW], qpos[:, self._coordinates] = (
+            new.root_position,
+            new.root_rotation,
+            new.joint_position,
+        )
+        qvel[:, :3], qvel[:, self._dofs] = new.root_linear_velocity, new.joint_velocity
+        qvel[:, 3:ROOT_DOFS] = rotations.rotate(rotations.conjugate(new.root_rotation), new.root_angular_velocity)
+        self._batch[mask] = batch
+        self._torque[mask] = 0.0
+        self._foot_wrench[mask] = 0.0
         self.state = self._read()
 
     def compile(self) -> None:
@@ -231,51 +230,38 @@ class MujocoEngine:
 
     def _read_sensors(self) -> None:
         """Motor torque of the last physics step and each foot's wrench about its frame's origin, mean over all."""
-        feet = self._readings[..., : 2 * _FOOT_READINGS].reshape(self.num_envs, self.physics.substeps, 2, 4, 3)
-        # MuJoCo gives the foot's force on the ground.
-        force, torque = -feet[..., 0, :], -feet[..., 1, :]
-        arm = feet[..., 2, :] - feet[..., 3, :]
-        wrench = np.concatenate((force, torque + np.cross(arm, force)), axis=-1).mean(axis=1)
-        self._foot_wrench = torch.from_numpy(wrench).float()
-        self._torque = torch.from_numpy(self._readings[:, -1, 2 * _FOOT_READINGS :]).float()
+        readings = torch.from_numpy(self._readings)
+        feet = readings[..., : 2 * _FOOT_READINGS].reshape(self.num_envs, self.physics.substeps, 2, 4, 3)
+        force, torque, point, origin = feet.unbind(dim=3)
+        wrench = torch.cat((force, torque + torch.linalg.cross(point - origin, force)), dim=-1)
+        self._foot_wrench = -wrench.mean(dim=1).float()  # MuJoCo gives the foot's on the ground
+        self._torque = readings[:, -1, 2 * _FOOT_READINGS :].float()
+
+    def _parts(self, batch: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Joint coordinates and velocities of rows as :data:`_STATE` has them, views of shapes [..., nq], [..., nv]."""
+        return batch[..., 1 : 1 + self.model.nq], batch[..., 1 + self.model.nq :]
 
     def _read(self) -> RobotState:
         """The state as new tensors: the way from double to single precision copies."""
-        # numpy picks columns and takes sines: torch would do it in threads that get in the way of MuJoCo's.
-        position, rotation, joint_position = (
-            torch.from_numpy(self._qpos[:, columns]).float() for columns in (slice(3), _XYZW, self._coordinates)
-        )
-        linear_velocity, local_angular_velocity, joint_velocity = (
-            torch.from_numpy(self._qvel[:, columns]).float() for columns in (slice(3), slice(3, ROOT_DOFS), self._dofs)
-        )
+        qpos, qvel = self._parts(self._batch.float())
+        position, rotation = qpos[:, :3].clone(), qpos[:, _XYZW]
+        # Centre of the head; a sensor's reading would be one physics step old.
+        abdomen, neck = rotations.from_euler_xyz(qpos.index_select(1, self._spine).reshape(-1, 2, 3)).unbind(dim=1)
+        from_torso = self._head_offset + rotations.rotate(neck, self._head_centre.expand_as(position))
+        from_pelvis = self._torso_offset + rotations.rotate(abdomen, from_torso)
+        in_pelvis = torch.stack((qvel[:, 3:ROOT_DOFS], from_pelvis), dim=1)
+        angular_velocity, to_head = rotations.rotate(rotation.unsqueeze(1).expand(-1, 2, 4), in_pelvis).unbind(dim=1)
         return RobotState(
             root_position=position,
             root_rotation=rotation,
-            root_linear_velocity=linear_velocity,
-            root_angular_velocity=rotations.rotate(rotation, local_angular_velocity),
-            joint_position=joint_position,
-            joint_velocity=joint_velocity,
+            root_linear_velocity=qvel[:, :3].clone(),
+            root_angular_velocity=angular_velocity.clone(),
+            joint_position=qpos.index_select(1, self._coordinates),
+            joint_velocity=qvel.index_select(1, self._dofs),
             joint_torque=self._torque.clone(),
-            head_position=self._head_position(position, rotation, self._qpos[:, self._spine]),
+            head_position=position + to_head,
             foot_force=self._foot_wrench[..., :3].clone(),
             foot_moment=self._foot_wrench[..., 3:].clone(),
-        )
-
-    def _head_position(self, position: torch.Tensor, pelvis: torch.Tensor, angles: _Array) -> torch.Tensor:
-        """Centre of the head; a sensor's reading would be one physics step old."""
-        half = 0.5 * angles.reshape(-1, 2, 3)
-        turns = np.zeros((3, self.num_envs, 2, 4))  # a link's hinges turn about x, y and z, in this order
-        for axis in range(3):
-            turns[axis, :, :, axis], turns[axis, :, :, 3] = np.sin(half[..., axis]), np.cos(half[..., axis])
-        x, y, z = torch.from_numpy(turns).float().unbind(dim=0)
-        abdomen, neck = rotations.multiply(rotations.multiply(x, y), z).unbind(dim=1)
-        torso = rotations.multiply(pelvis, abdomen)
-        centre = torch.tensor(HEAD_CENTRE).expand_as(position)
-        from_torso = self._head_offset + rotations.rotate(neck, centre)
-        return (
-            position
-            + rotations.rotate(pelvis, self._torso_offset.expand_as(position))
-            + rotations.rotate(torso, from_torso)
         )
 
     def bare_loop(self) -> Callable[[], None]:
@@ -307,7 +293,7 @@ class MujocoEngine:
 
     def _memory(self) -> dict[str, torch.Tensor]:
         """All that is kept from step to step: a rollout begins without a warm start."""
-        return {"rows": torch.from_numpy(self._rows), "motor_torque": self._torque, "foot_wrench": self._foot_wrench}
+        return {"rows": self._batch, "motor_torque": self._torque, "foot_wrench": self._foot_wrench}
 
     def snapshot(self) -> dict[str, torch.Tensor]:
         """See :meth:`Engine.snapshot`."""
