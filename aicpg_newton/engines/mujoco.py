@@ -150,9 +150,9 @@ class MujocoEngine:
         self.spec = spec
         """What the model was made from, with Newton's names."""
         model = self.model = spec.compile()
-        self._coordinates = torch.from_numpy(model.jnt_qposadr[joints]).long()
-        self._dofs = torch.from_numpy(model.jnt_dofadr[joints]).long()
-        self._spine = self._coordinates[[joint_index(name) for name in SPINE_JOINTS]]
+        self._qpos_columns = torch.from_numpy(model.jnt_qposadr[joints]).long()
+        self._qvel_columns = torch.from_numpy(model.jnt_dofadr[joints]).long()
+        self._spine_columns = self._qpos_columns[[joint_index(name) for name in SPINE_JOINTS]]
         position_actuator = {}
         velocity_actuator = {}
         for actuator in range(model.nu):
@@ -209,21 +209,32 @@ class MujocoEngine:
         self.state = self._read()
 
     def reset(self, mask: torch.Tensor, start: BodyState) -> None:
-        """See :meth:`Engine.reset`. MuJoCo's free joint carries the angular velocity in the pelvis frame."""
-        new = BodyState(**{each.name: getattr(start, each.name)[mask].double() for each in fields(BodyState)})
-        batch = self._batch.new_zeros(len(new.root_position), self._batch.shape[1])  # the clock, too: it may be NaN
-        qpos, qvel = self._parts(batch)
-        qpos[:, :3], qpos[:, _XYZW], qpos[:, self._coordinates] = (
-            new.root_position,
-            new.root_rotation,
-            new.joint_position,
-        )
-        qvel[:, :3], qvel[:, self._dofs] = new.root_linear_velocity, new.joint_velocity
-        qvel[:, 3:ROOT_DOFS] = rotations.rotate(rotations.conjugate(new.root_rotation), new.root_angular_velocity)
-        self._batch[mask] = batch
+        """See :meth:`Engine.reset`."""
+        masked = BodyState(**{each.name: getattr(start, each.name)[mask] for each in fields(BodyState)})
+        qpos, qvel = self.coordinates(masked)
+        clock = qpos.new_zeros(len(qpos), 1)  # that of an environment that was not finite is not, either
+        self._batch[mask] = torch.cat((clock, qpos, qvel), dim=1)
         self._torque[mask] = 0.0
         self._foot_wrench[mask] = 0.0
         self.state = self._read()
+
+    def coordinates(self, start: BodyState) -> tuple[torch.Tensor, torch.Tensor]:
+        """States as MuJoCo has them: the root's quaternion (w, x, y, z), its angular velocity in the pelvis frame.
+
+        Args:
+            start: States of any number of robots.
+
+        Returns:
+            Joint coordinates qpos, shape [rows, 35], and velocities qvel, shape [rows, 34], in double precision.
+        """
+        position, rotation, linear_velocity, angular_velocity, angles, rates = (
+            getattr(start, each.name).double() for each in fields(BodyState)
+        )
+        qpos, qvel = position.new_empty(len(position), self.model.nq), position.new_empty(len(position), self.model.nv)
+        qpos[:, :3], qpos[:, _XYZW], qpos[:, self._qpos_columns] = position, rotation, angles
+        qvel[:, :3], qvel[:, self._qvel_columns] = linear_velocity, rates
+        qvel[:, 3:ROOT_DOFS] = rotations.rotate(rotations.conjugate(rotation), angular_velocity)
+        return qpos, qvel
 
     def compile(self) -> None:
         """See :meth:`Engine.compile`: numpy does the work here, and there is no device to launch it on."""
@@ -246,7 +257,9 @@ class MujocoEngine:
         qpos, qvel = self._parts(self._batch.float())
         position, rotation = qpos[:, :3].clone(), qpos[:, _XYZW]
         # Centre of the head; a sensor's reading would be one physics step old.
-        abdomen, neck = rotations.from_euler_xyz(qpos.index_select(1, self._spine).reshape(-1, 2, 3)).unbind(dim=1)
+        abdomen, neck = rotations.from_euler_xyz(qpos.index_select(1, self._spine_columns).reshape(-1, 2, 3)).unbind(
+            dim=1
+        )
         from_torso = self._head_offset + rotations.rotate(neck, self._head_centre.expand_as(position))
         from_pelvis = self._torso_offset + rotations.rotate(abdomen, from_torso)
         in_pelvis = torch.stack((qvel[:, 3:ROOT_DOFS], from_pelvis), dim=1)
@@ -256,8 +269,8 @@ class MujocoEngine:
             root_rotation=rotation,
             root_linear_velocity=qvel[:, :3].clone(),
             root_angular_velocity=angular_velocity.clone(),
-            joint_position=qpos.index_select(1, self._coordinates),
-            joint_velocity=qvel.index_select(1, self._dofs),
+            joint_position=qpos.index_select(1, self._qpos_columns),
+            joint_velocity=qvel.index_select(1, self._qvel_columns),
             joint_torque=self._torque.clone(),
             head_position=position + to_head,
             foot_force=self._foot_wrench[..., :3].clone(),

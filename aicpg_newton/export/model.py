@@ -7,14 +7,11 @@ from __future__ import annotations
 from xml.etree import ElementTree
 
 import mujoco
-import numpy as np
 import torch
 
-from aicpg_newton.engines.interface import BodyState
 from aicpg_newton.engines.mujoco import MujocoEngine, add_sensors
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.gait.poses import gait_start
-from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import FOOT_NAMES, JOINT_NAMES, LINK_NAMES, Motors
 
 
@@ -50,8 +47,8 @@ def stock_model(engine: MujocoEngine, motors: Motors, pattern: PatternNetwork) -
     for gait in pattern.gaits:
         frequency = torch.tensor([gait.frequency])
         start = gait_start(pattern, torch.zeros(1), frequency, pattern.nominal_speed(frequency))
-        qpos, qvel = _coordinates(start)
-        spec.add_key(name=gait.name, qpos=qpos, qvel=qvel)
+        qpos, qvel = engine.coordinates(start)
+        spec.add_key(name=gait.name, qpos=qpos[0].numpy(), qvel=qvel[0].numpy())
     spec.compile()
     return _add_motors(spec.to_xml(), motors)
 
@@ -91,12 +88,3 @@ def _pave(spec: mujoco.MjSpec) -> None:
     for geom in spec.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
             geom.size, geom.material, geom.rgba = [0.0, 0.0, 1.0], "tiles", [1.0, 1.0, 1.0, 1.0]
-
-
-def _coordinates(start: BodyState) -> tuple[np.ndarray, np.ndarray]:
-    """MuJoCo's qpos and qvel of the first robot, as :meth:`MujocoEngine.reset` sets them."""
-    to_pelvis = rotations.conjugate(start.root_rotation)
-    turning = rotations.rotate(to_pelvis, start.root_angular_velocity)
-    qpos = torch.cat((start.root_position, start.root_rotation.roll(1, dims=-1), start.joint_position), dim=-1)
-    qvel = torch.cat((start.root_linear_velocity, turning, start.joint_velocity), dim=-1)
-    return qpos[0].double().numpy(), qvel[0].double().numpy()
