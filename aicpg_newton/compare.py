@@ -24,7 +24,7 @@ from aicpg_newton.evaluation.controllers import trained
 from aicpg_newton.evaluation.protocols import DISTURBANCE, SWEEP, TERRAIN, TRANSITION, Protocol
 from aicpg_newton.evaluation.run import Laboratory, evaluate, identity_of
 from aicpg_newton.figures.draw import draw_all
-from aicpg_newton.files import only_one
+from aicpg_newton.files import make_folder, only_one
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.bookkeeping import CONFIG_NAME
 from aicpg_newton.learning.plan import RunOptions
@@ -152,7 +152,7 @@ def compare(options: CompareOptions) -> bool:
         left = None if options.max_minutes is None else options.max_minutes - (time.monotonic() - began) / 60
         if left is not None and left <= 0.0:
             break
-        results.make_folder(options.out)
+        make_folder(options.out)
         with only_one(options.out / f".{training.folder.name}.lock") as mine:
             if mine:
                 show()

@@ -9,10 +9,9 @@ from typing import Annotated
 import tyro
 
 from aicpg_newton.errors import UserError, run_command
-from aicpg_newton.evaluation.results import make_folder
 from aicpg_newton.figures import learning
 from aicpg_newton.figures.plotting import save
-from aicpg_newton.files import write_text
+from aicpg_newton.files import make_folder, write_text
 from aicpg_newton.ranges import AT_LEAST_ONE, check_ranges
 
 NAME = "learning_curves"

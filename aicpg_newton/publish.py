@@ -21,7 +21,7 @@ from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.controllers import trained
 from aicpg_newton.evaluation.protocols import SWEEP
 from aicpg_newton.evaluation.run import Laboratory, evaluate
-from aicpg_newton.files import temporary_folder, write_text
+from aicpg_newton.files import make_folder, temporary_folder, write_text
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.places import ASSETS
 from aicpg_newton.ranges import AT_LEAST_ONE, ENVIRONMENTS, check_ranges
@@ -74,10 +74,7 @@ def publish(options: PublishOptions) -> Path:
         print(side_by_side(target, content, options))
     if taken and not options.replace:
         raise UserError(f"{taken[0]} ships already and stays as it is; give --replace to put this one in its place")
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make the folder {options.out} ({error.strerror}); give --out another one") from error
+    make_folder(options.out)
     checkpoint.save(content, target)
     write_text(target.with_suffix(".yaml"), yaml.safe_dump(config, sort_keys=False))
     print(f"wrote {target} and {target.with_suffix('.yaml')}")

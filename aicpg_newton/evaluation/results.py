@@ -12,14 +12,13 @@ import csv
 import io
 import json
 import math
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation.protocols import PROTOCOLS
-from aicpg_newton.files import write_text
+from aicpg_newton.files import make_folder, write_text
 from aicpg_newton.texts import number, read_text
 
 Row = dict[str, Any]
@@ -49,20 +48,6 @@ def prepare(folder: Path, names: Iterable[str], controllers: list[dict[str, Any]
         if path.exists() and read_description(folder, name)["controllers"] != controllers:
             raise UserError(f"{folder} holds results of other controllers or ground; give --out another folder")
     make_folder(folder)
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder for results or figures, unless it is there.
-
-    Raises:
-        UserError: It cannot be made or written to.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make the folder {folder} ({error.strerror}); give --out another one") from error
-    if not os.access(folder, os.W_OK):
-        raise UserError(f"the folder {folder} may not be written to; give --out another one")
 
 
 def write(folder: Path, name: str, rows: Sequence[Row], description: dict[str, Any]) -> None:

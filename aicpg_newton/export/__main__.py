@@ -14,7 +14,7 @@ import tyro
 
 from aicpg_newton.errors import UserError, run_command
 from aicpg_newton.export.requirements import check_packages, check_source
-from aicpg_newton.files import write_text
+from aicpg_newton.files import make_folder, write_text
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.learning.policy import Trained
 
@@ -52,7 +52,7 @@ def export(options: ExportOptions) -> None:
     controller = Controller(trained)
     folders = [folder for folder in (options.out, options.web) if folder is not None]
     for folder in folders:
-        _make_folder(folder)
+        make_folder(folder)
     if options.web is not None:
         write_page(controller, options.web)
     print("Tracing the controller takes up to a minute.", flush=True)
@@ -62,13 +62,6 @@ def export(options: ExportOptions) -> None:
         print(f"wrote {folder}")
     if options.web is not None:
         print(f"To look at the page: python -m http.server --directory {options.web}")
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make the folder {path} ({error.strerror}); choose another place") from error
 
 
 if __name__ == "__main__":

@@ -49,6 +49,7 @@ from aicpg_newton.figures.plotting import (
 )
 from aicpg_newton.figures.terrain import trajectories_figure, walking_and_running_figure
 from aicpg_newton.figures.transition import speed_and_froude_figure, transition_figure
+from aicpg_newton.files import make_folder
 from aicpg_newton.robot.humanoid import GRAVITY
 
 _TRANSITION_SPEED = 2.0  # of people [m/s]
@@ -123,7 +124,7 @@ def _draw(
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    results.make_folder(path.parent)
+    make_folder(path.parent)
     return save(figure, path)
 
 
