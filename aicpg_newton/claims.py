@@ -22,7 +22,7 @@ class ClaimOptions:
 
 
 def main(options: ClaimOptions) -> list[claims.Comparison]:
-    """Compare, and print a table for each kind of ground.
+    """Compare, and print for each kind of ground a table and what chance has to do with it.
 
     Raises:
         UserError: A folder holds no such results, two hold the same training, or there is nothing to compare.
@@ -37,7 +37,7 @@ def main(options: ClaimOptions) -> list[claims.Comparison]:
     tables = [found for found, rows in grounds if found and any(row["method"] == claims.OURS for row in rows)]
     if not tables:
         raise UserError(f"the folders do not hold {claims.OURS} and another method; give those of both")
-    print("\n\n".join(map(claims.table, tables)))
+    print("\n\n".join(f"{claims.table(found)}\n\n{claims.by_chance(found)}" for found in tables))
     return [comparison for found in tables for comparison in found]
 
 

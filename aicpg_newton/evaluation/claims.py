@@ -167,6 +167,16 @@ def _by_seed(rows: Iterable[Row]) -> dict[float, list[Row]]:
     return seeds
 
 
+def by_chance(comparisons: Iterable[Comparison]) -> str:
+    """A sentence on how many are told apart, and how many would be if nothing differed: one interval in 20 misses."""
+    halves = [(abs(difference), half) for difference, half in (each.difference for each in comparisons)]
+    known = [difference > half for difference, half in halves if not math.isnan(half)]
+    return (
+        f"{sum(known)} of {len(known)} with an interval are told apart; {0.05 * len(known):.1f} would be by chance if"
+        " nothing differed."
+    )
+
+
 def table(comparisons: Iterable[Comparison]) -> str:
     """The comparisons as a Markdown table: each seed's value, the difference of the means, and what it says."""
     titles = QUANTITIES | ON_TERRAIN

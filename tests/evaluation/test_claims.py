@@ -51,6 +51,10 @@ def test_comparisons():
     assert [each.verdict for each in found[:3]] == ["not told apart", "AI-CPG less", "AI-CPG does not go at this speed"]
     assert walk.ours == pytest.approx((0.11, 0.12, 0.13)) and fast.ours == ()
     assert found[7].theirs == pytest.approx((10.0, 10.1, 10.2))
+    assert (
+        claims.by_chance(found) == "3 of 6 with an interval are told apart; 0.3 would be by chance if nothing differed."
+    )
+    assert claims.by_chance([]).startswith("0 of 0")
     assert claims.Comparison("cost_of_transport", "PPO 1", 1.0, (2.0, 2.1), (1.0, 1.1)).verdict == "AI-CPG more"
     assert claims.Comparison("cost_of_transport", "PPO 1", 1.0, (2.0,), (1.0, 1.1)).verdict == "too few seeds"
 
@@ -97,13 +101,14 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     docs = Path(__file__).resolve().parents[2] / "docs"
     found = main(ClaimOptions(results=(docs / "seeds",)))
     printed = capsys.readouterr().out
-    assert len(printed.splitlines()) == 2 + len(found) and "| PPO 2.5 |" in printed
+    assert len(printed.splitlines()) == 4 + len(found) and "| PPO 2.5 |" in printed
+    assert printed.endswith("2 of 10 with an interval are told apart; 0.5 would be by chance if nothing differed.\n")
     with pytest.raises(UserError, match="another method; give those of both"):
         main(ClaimOptions(results=(docs / "flat_20_million",)))
     with pytest.raises(UserError, match="two of the folders hold sweep results of AI-CPG, seed 0; give one at a time"):
         main(ClaimOptions(results=(docs / "seeds", docs / "flat_20_million")))
     uneven = main(ClaimOptions(results=(docs.parent / "assets" / "policies" / "uneven_baselines_evaluation",)))
     printed = capsys.readouterr().out
-    assert len(printed.splitlines()) == 2 + len(uneven) and "| share that never fell |" in printed
+    assert len(printed.splitlines()) == 4 + len(uneven) and "| share that never fell |" in printed
     with pytest.raises(UserError, match=r"there is no sweep.csv and no terrain.csv in"):
         main(ClaimOptions(results=(tmp_path,)))
