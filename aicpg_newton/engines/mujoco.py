@@ -248,18 +248,13 @@ class MujocoEngine:
         self._foot_wrench = -wrench.mean(dim=1).float()  # MuJoCo gives the foot's on the ground
         self._torque = readings[:, -1, 2 * _FOOT_READINGS :].float()
 
-    def _parts(self, batch: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Joint coordinates and velocities of rows as :data:`_STATE` has them, views of shapes [..., nq], [..., nv]."""
-        return batch[..., 1 : 1 + self.model.nq], batch[..., 1 + self.model.nq :]
-
     def _read(self) -> RobotState:
         """The state as new tensors: the way from double to single precision copies."""
-        qpos, qvel = self._parts(self._batch.float())
+        _, qpos, qvel = self._batch.float().split((1, self.model.nq, self.model.nv), dim=1)
         position, rotation = qpos[:, :3].clone(), qpos[:, _XYZW]
         # Centre of the head; a sensor's reading would be one physics step old.
-        abdomen, neck = rotations.from_euler_xyz(qpos.index_select(1, self._spine_columns).reshape(-1, 2, 3)).unbind(
-            dim=1
-        )
+        spine = qpos.index_select(1, self._spine_columns).reshape(-1, 2, 3)
+        abdomen, neck = rotations.from_euler_xyz(spine).unbind(dim=1)
         from_torso = self._head_offset + rotations.rotate(neck, self._head_centre.expand_as(position))
         from_pelvis = self._torso_offset + rotations.rotate(abdomen, from_torso)
         in_pelvis = torch.stack((qvel[:, 3:ROOT_DOFS], from_pelvis), dim=1)

@@ -169,10 +169,10 @@ def _by_seed(rows: Iterable[Row]) -> dict[float, list[Row]]:
 
 def by_chance(comparisons: Iterable[Comparison]) -> str:
     """A sentence on how many are told apart, and how many would be if nothing differed: one interval in 20 misses."""
-    halves = [(abs(difference), half) for difference, half in (each.difference for each in comparisons)]
-    known = [difference > half for difference, half in halves if not math.isnan(half)]
+    differences = [each.difference for each in comparisons]
+    apart = [abs(difference) > half for difference, half in differences if not math.isnan(half)]
     return (
-        f"{sum(known)} of {len(known)} with an interval are told apart; {0.05 * len(known):.1f} would be by chance if"
+        f"{sum(apart)} of {len(apart)} with an interval are told apart; {0.05 * len(apart):.1f} would be by chance if"
         " nothing differed."
     )
 
