@@ -237,7 +237,7 @@ class MujocoEngine:
         return qpos, qvel
 
     def compile(self) -> None:
-        """See :meth:`Engine.compile`: numpy does the work here, and there is no device to launch it on."""
+        """See :meth:`Engine.compile`: beside the physics there is too little to do here."""
 
     def _read_sensors(self) -> None:
         """Motor torque of the last physics step and each foot's wrench about its frame's origin, mean over all."""
