@@ -66,7 +66,8 @@ class Points:
     x_spread: np.ndarray
     y_spread: np.ndarray
     survived: np.ndarray
-    seeds: int
+    seeds: str
+    """As :func:`number_of_seeds` has it."""
     curve: bool
     """Whether the points are frequencies of one controller, not controllers trained for different speeds."""
 
@@ -95,18 +96,26 @@ def std(values: Iterable[float]) -> float:
     return float(np.std(finite)) if finite else math.nan
 
 
+def number_of_seeds(rows: Iterable[Row]) -> str:
+    """How many seeds of a method's trainings there are, in words: ``3 seeds``, ``1 to 3 seeds`` where they differ."""
+    trainings: dict[str, set[float]] = {}
+    for row in rows:
+        trainings.setdefault(row["condition"], set()).add(row["seed"])
+    numbers = sorted(map(len, trainings.values())) or [0]
+    fewest, most = numbers[0], numbers[-1]
+    return f"{f'{fewest} to ' if fewest < most else ''}{most} seed{'s' if most != 1 else ''}"
+
+
 def over_seeds(rows: Iterable[Row], method: str, x: str, y: str) -> Points:
     """Mean and spread over seeds at each frequency or condition, where both ``x`` and ``y`` are known.
 
     Several rows of one seed (its last checkpoints) are averaged first, so that every seed counts the same.
     """
     groups: dict[float | str, dict[float, list[Row]]] = {}
-    seeds = set()
-    for row in rows:
-        if row["method"] == method and math.isfinite(row[x]) and math.isfinite(row[y]):
-            told = row["condition"] or row["frequency_hz"]
-            groups.setdefault(told, {}).setdefault(row["seed"], []).append(row)
-            seeds.add(row["seed"])
+    known = [row for row in rows if row["method"] == method and math.isfinite(row[x]) and math.isfinite(row[y])]
+    for row in known:
+        told = row["condition"] or row["frequency_hz"]
+        groups.setdefault(told, {}).setdefault(row["seed"], []).append(row)
     columns: list[tuple[float, ...]] = []
     for told in sorted(groups):
         per_seed = groups[told].values()
@@ -114,14 +123,14 @@ def over_seeds(rows: Iterable[Row], method: str, x: str, y: str) -> Points:
             [mean(row.get(name, 1.0) for row in mine) for mine in per_seed] for name in (x, y, "survived")
         )
         spreads: tuple[float, ...] = (std(xs), std(ys))
-        if len(seeds) == 1:
+        if len(per_seed) == 1:
             only = next(iter(per_seed))
             halves = [mean(row.get(f"{name}_ci95", math.nan) for row in only) for name in (x, y)]
             spreads = tuple(half if math.isfinite(half) else 0.0 for half in halves)
         columns.append((mean(xs), mean(ys), *spreads, mean(survived)))
     table = np.array(columns).reshape(-1, 5).T
     curve = not any(isinstance(told, str) for told in groups)
-    return Points(table[0], table[1], table[2], table[3], table[4], len(seeds), curve)
+    return Points(table[0], table[1], table[2], table[3], table[4], number_of_seeds(known), curve)
 
 
 def curves_over_time(rows: list[Row]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -154,7 +163,7 @@ def draw_points(axes: Axes, points: Points, style: Style, label: str) -> None:
     """
     if not len(points.x):
         return
-    label = f"{label} ({points.seeds} seed{'s' if points.seeds > 1 else ''})"
+    label = f"{label} ({points.seeds})"
     fell = points.survived < 0.5
     look = {"color": style.colour, "marker": style.marker, "zorder": 3}
     line = style.line if points.curve else "none"

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from aicpg_newton.evaluation.protocols import GAITS
 from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.terrain_summaries import SAMPLE
-from aicpg_newton.figures.plotting import Style, mean, methods, std
+from aicpg_newton.figures.plotting import Style, mean, methods, number_of_seeds, std
 from aicpg_newton.robot.humanoid import CONTROL_DT
 
 _PAPER_SPEED = {"walking": 1.5, "running": 3.0}  # [m/s]
@@ -163,9 +163,9 @@ def _mean_and_spread(rows: list[Row], column: str) -> tuple[float, float]:
 def _label(rows: list[Row], method: str) -> str:
     """A method's name, what its bars are made of, and what was told."""
     mine = [row for row in rows if row["method"] == method]
-    seeds, terrains = (len({row[name] for row in mine}) for name in ("seed", "terrain_seed"))
-    told = [_told(nearest_to_the_paper([row for row in mine if row["gait"] == gait], gait)) for gait in GAITS]
-    count = f"{seeds} seed{'s' if seeds > 1 else ''} on {terrains} terrains"
-    return (
-        f"{method}, {' and '.join(filter(None, told))}: {count}, deviation over {'seeds' if seeds > 1 else 'terrains'}"
-    )
+    bars = [nearest_to_the_paper([row for row in mine if row["gait"] == gait], gait) for gait in GAITS]
+    shown = [row for bar in bars for row in bar]
+    seeds, terrains = (len({row[name] for row in shown}) for name in ("seed", "terrain_seed"))
+    told = " and ".join(filter(None, map(_told, bars)))
+    count = f"{number_of_seeds(shown)} on {terrains} terrains"
+    return f"{method}, {told}: {count}, deviation over {'seeds' if seeds > 1 else 'terrains'}"

@@ -193,10 +193,13 @@ def test_dots_are_means_over_the_seeds_of_a_condition():
     ]
     points = over_seeds(rows, "PPO", "speed_mps", "falls")
     assert points.x.tolist() == pytest.approx([1.5, 2.8]) and points.x_spread.tolist() == pytest.approx([0.1, 0.3])
-    assert points.y_spread.tolist() == pytest.approx([1.0, 3.0]) and points.seeds == 2 and not points.curve
+    assert points.y_spread.tolist() == pytest.approx([1.0, 3.0]) and points.seeds == "2 seeds" and not points.curve
     one = [{**row, "speed_mps_ci95": 0.05} for row in rows if row["seed"] == 0]
     points = over_seeds(one, "PPO", "speed_mps", "falls")
     assert points.x_spread.tolist() == [0.05, 0.05] and points.y_spread.tolist() == [0.0, 0.0]
+    assert points.seeds == "1 seed"
+    points = over_seeds([*rows[:2], *one[1:]], "PPO", "speed_mps", "falls")
+    assert points.x_spread.tolist() == pytest.approx([0.1, 0.05]) and points.seeds == "1 to 2 seeds"
 
 
 def test_fig_5_takes_the_condition_trained_for_the_papers_speed():
@@ -225,7 +228,12 @@ def test_means_over_seeds_weigh_every_seed_alike():
         for seed, falls in ((1, 1.0), (1, 3.0), (2, 6.0), (3, math.nan))
     ]
     points = over_seeds(rows, "A", "speed_mps", "falls_per_minute")
-    assert (points.x.tolist(), points.y.tolist(), points.y_spread.tolist(), points.seeds) == ([2.0], [4.0], [2.0], 2)
+    assert (points.x.tolist(), points.y.tolist(), points.y_spread.tolist(), points.seeds) == (
+        [2.0],
+        [4.0],
+        [2.0],
+        "2 seeds",
+    )
 
 
 def test_methods_differ_without_colour():
