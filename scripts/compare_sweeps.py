@@ -46,7 +46,7 @@ def draw(tables: dict[str, list[results.Row]]) -> Figure:
         for style, (name, rows) in zip(cycle(STYLES), tables.items(), strict=False):
             points = over_seeds(rows, rows[0]["method"], "frequency_hz", column)
             look = {"color": style.colour, "marker": style.marker, "linestyle": style.line, "markersize": 4}
-            axes.plot(points.x, points.y, **look, label=f"{name}, {points.seeds} seed{'s' if points.seeds > 1 else ''}")
+            axes.plot(points.x, points.y, **look, label=f"{name}, {points.seeds}")
             low, high = points.y - points.y_spread, points.y + points.y_spread
             axes.fill_between(points.x, low, high, color=style.colour, alpha=0.15, linewidth=0)
             for seed in sorted({row["seed"] for row in rows}):
