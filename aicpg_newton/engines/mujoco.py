@@ -210,10 +210,9 @@ class MujocoEngine:
 
     def reset(self, mask: torch.Tensor, start: BodyState) -> None:
         """See :meth:`Engine.reset`."""
-        masked = BodyState(**{each.name: getattr(start, each.name)[mask] for each in fields(BodyState)})
-        qpos, qvel = self.coordinates(masked)
+        qpos, qvel = self.coordinates(start)
         clock = qpos.new_zeros(len(qpos), 1)  # that of an environment that was not finite is not, either
-        self._batch[mask] = torch.cat((clock, qpos, qvel), dim=1)
+        self._batch[mask] = torch.cat((clock, qpos, qvel), dim=1)[mask]
         self._torque[mask] = 0.0
         self._foot_wrench[mask] = 0.0
         self.state = self._read()
