@@ -65,6 +65,8 @@ class Actuation(Generic[_Task]):
         self.generator = generator
         self.torque = torch.zeros(num_envs, NUM_JOINTS, device=generator.device)
         """Torque that the network asked for in the last step [N m], shape [num_envs, 28]."""
+        self.torque_unit = motors.torque_limit
+        """Unit of that torque in rewards and observations [N m], shape [28]."""
         self.at_rest = torch.zeros_like(self.torque)
 
     def follow(self, phase: torch.Tensor, commands: Commands) -> None:
@@ -95,17 +97,24 @@ class Actuation(Generic[_Task]):
 class TorqueActuation(Actuation[ReflexTask]):
     """The PPO baseline: the network's torques alone, no CPG and no motion capture (paper, Sec. III-A).
 
-    Torques are scaled as the reflex's are; actions beyond 1 reach the joint's limit. With all of the range at an action
+    Torques are scaled as the reflex's are; actions beyond 1 reach the unit. With all of the range at an action
     of 1, exploring costs so much energy (R_e) that the shortest episode is the best.
     """
 
     _START_ANGLE = 0.1
     """Largest deviation of a joint from upright standing at the start [rad]."""
 
+    def __init__(
+        self, task: ReflexTask, pattern: PatternNetwork, motors: Motors, num_envs: int, generator: torch.Generator
+    ) -> None:
+        super().__init__(task, pattern, motors, num_envs, generator)
+        if task.reflex.unit == "gear":
+            self.torque_unit = motors.gear
+
     def command(self, actions: torch.Tensor, state: RobotState) -> MotorCommand:
         """See :meth:`Actuation.command`."""
-        limit = self.motors.torque_limit
-        self.torque = (self.task.reflex.torque_share * limit * actions).clamp(-limit, limit)
+        unit = self.torque_unit
+        self.torque = (self.task.reflex.torque_share * unit * actions).clamp(-unit, unit)
         return MotorCommand(self.at_rest, self.at_rest, self.torque)
 
     def start(self, phase: torch.Tensor, frequency: torch.Tensor, speed_share: torch.Tensor) -> BodyState:

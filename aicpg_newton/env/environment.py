@@ -255,6 +255,7 @@ class Environment(VecEnv):
             terrain=terrain,
             motors=self.motors,
             torque=actuation.torque,
+            torque_unit=actuation.torque_unit,
             target=actuation.target,
             target_velocity=actuation.target_velocity,
             pattern=self.pattern,

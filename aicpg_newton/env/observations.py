@@ -78,12 +78,12 @@ BODY: tuple[Block[View], ...] = (
     Block("joint_torque", JOINTS, lambda view: view.state.joint_torque / view.motors.torque_limit),
     Block("foot_force", VECTORS_OF_SIDES, lambda view: view.in_heading_frame[:, 6:12]),
     Block("foot_moment", AXIALS_OF_SIDES, lambda view: view.in_heading_frame[:, 12:18]),
-    Block("action_torque", JOINTS, lambda view: view.torque / view.motors.torque_limit),
+    Block("action_torque", JOINTS, lambda view: view.torque / view.torque_unit),
 )
 """What every network sees of its body: 136 numbers (paper, Sec. II-A.2).
 
 Vectors are in the heading frame, torques in units of the joint's limit. ``action_torque`` is what the network asked for
-in the last step, tau_r.
+in the last step, tau_r, in units of :attr:`View.torque_unit`.
 """
 
 

@@ -22,9 +22,6 @@ from aicpg_newton.errors import UserError
 PatternError = Literal["sum_of_magnitudes", "magnitude_of_sum"]
 """Reading of Eq. 7: sum_j |e_j|, or |sum_j e_j| as printed, in which errors of opposite sign cancel."""
 
-VELOCITY_SCALE = 0.1
-"""Scale of joint velocities in R_e [s/rad], as in the Isaac Gym humanoid."""
-
 
 @dataclass
 class RewardTerm:
@@ -70,14 +67,15 @@ def head_height(view: View) -> torch.Tensor:
     return view.state.head_position[:, 2] - view.ground_below(view.state.head_position)
 
 
-def action_energy(view: View) -> torch.Tensor:
-    """R_e = sum_j |tau_j w_j| + tau_j^2 of the network's torque (Eq. 6): of AI-CPG the reflex alone.
+def action_energy(view: View, velocity_scale: float) -> torch.Tensor:
+    """R_e = sum_j |a_j c w_j| + a_j^2 of the network's torque (Eq. 6): of AI-CPG the reflex alone.
 
-    Torques count in units of the joint's limit and velocities in units of 10 rad/s, so that the term stays of the order
-    of the survival reward.
+    Args:
+        view: Gives a = tau / unit, shape [num_envs, 28], in the unit of :class:`~aicpg_newton.env.task.Reflex`.
+        velocity_scale: c [s/rad]; 1 as printed, 0.1 as in Isaac Gym's humanoid.
     """
-    torque = view.torque / view.motors.torque_limit
-    return (torch.abs(torque * VELOCITY_SCALE * view.state.joint_velocity) + torque**2).sum(dim=1)
+    action = view.torque / view.torque_unit
+    return (torch.abs(action * velocity_scale * view.state.joint_velocity) + action**2).sum(dim=1)
 
 
 def survival(view: View) -> torch.Tensor:
@@ -138,7 +136,7 @@ def common_terms() -> dict[str, RewardTerm]:
     """Terms that every method has."""
     return {
         "head_height": RewardTerm(head_height, 1.0),
-        "action_energy": RewardTerm(action_energy, -0.5),
+        "action_energy": RewardTerm(action_energy, -0.5, {"velocity_scale": 0.5}),
         "survival": RewardTerm(survival, 1.0),
         "upright": RewardTerm(upright, 1.0),
         "target_velocity": RewardTerm(target_velocity, 1.0),
@@ -149,11 +147,10 @@ def common_terms() -> dict[str, RewardTerm]:
 def pattern_terms() -> dict[str, RewardTerm]:
     """What AI-CPG adds: beta R_g.
 
-    As printed (``magnitude_of_sum``, with b = 2.5) errors cancel, and speed stopped following f in a first trial; the
-    sum of 28 magnitudes is larger, hence another b.
+    With the magnitude of the sum (``magnitude_of_sum``) errors cancel, and speed stopped following f in a first trial.
     """
     return {
-        "pattern_tracking": RewardTerm(pattern_tracking, 5.0, {"bound": 5.0, "reading": "sum_of_magnitudes"}),
+        "pattern_tracking": RewardTerm(pattern_tracking, 5.0, {"bound": 2.5, "reading": "sum_of_magnitudes"}),
         "bounce": RewardTerm(bounce, 0.0),
     }
 

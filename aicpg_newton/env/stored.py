@@ -137,6 +137,11 @@ def brought_up_to_date(content: dict[str, Any]) -> dict[str, Any]:
         content.setdefault("drives", "pattern")
         if isinstance(content.get("imitation"), dict):
             content["imitation"] = {"loss": "least_squares", **content["imitation"]}
+    reflex, energy = content.get("reflex"), (content.get("rewards") or {}).get("action_energy")
+    if isinstance(reflex, dict):
+        content["reflex"] = {"unit": "limit", **reflex}
+    if isinstance(energy, dict) and not energy.get("parameters"):
+        content["rewards"] = {**content["rewards"], "action_energy": {**energy, "parameters": {"velocity_scale": 0.1}}}
     if isinstance(content.get("learning"), dict):
         content["learning"] = {**_BEFORE, **learning}
     return content
@@ -155,8 +160,8 @@ _RENAMED = {"reflex_energy": "action_energy"}
 _TERM_OF = {"pattern_tracking": "ai-cpg", "target_speed": "ppo"}
 _SETTINGS_OF = {"reflex": ("ai-cpg", "ppo"), "target_speed": ("ppo",), "reference": ("amp",), "imitation": ("amp",)}
 
-_SAME_HUMANOID = {"60eacc976df0": "5ad37ed817ac"}
-"""Fingerprints of the humanoid's file, as they once were, and of the facts that stood in it."""
+_SAME_HUMANOID = dict.fromkeys(("60eacc976df0", "5ad37ed817ac"), "5c9e39e9b196")
+"""Earlier fingerprints of the same humanoid: of its file, and of its facts without the gears."""
 
 
 def same_humanoid(fingerprint: str) -> str:

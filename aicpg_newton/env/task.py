@@ -71,8 +71,11 @@ class Frequencies:
 class Reflex:
     """How the network's action becomes the reflex torque tau_r."""
 
-    torque_share: Annotated[float, POSITIVE] = 0.25
-    """tau_r = share x torque limit x action, limited to the joint's limit."""
+    unit: Literal["gear", "limit"] = "gear"
+    """Unit of torque of each joint, which bounds tau_r and in which R_e (Eq. 6) charges for it: the gear of the motor
+    table (Isaac Gym's humanoid, as in the paper), or the joint's torque limit."""
+    torque_share: Annotated[float, POSITIVE] = 0.4
+    """tau_r = share x unit x action, clipped to +-unit."""
 
 
 @dataclass(kw_only=True)

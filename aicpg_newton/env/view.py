@@ -86,6 +86,8 @@ class View(BodyView):
     """Gains and limits."""
     torque: torch.Tensor
     """Torque that the network asked for in the step [N m], shape [num_envs, 28]: of AI-CPG the reflex tau_r."""
+    torque_unit: torch.Tensor
+    """Unit of that torque in rewards and observations [N m], shape [28]."""
     target: torch.Tensor | None = None
     """theta_t of the CPG [rad], shape [num_envs, 28]; None where there is no CPG."""
     target_velocity: torch.Tensor | None = None

@@ -126,6 +126,7 @@ class Controller(nn.Module):
             terrain=None,
             motors=self.motors,
             torque=last_reflex_torque,
+            torque_unit=self.actuation.torque_unit,
             target=self.actuation.target,
             target_velocity=self.actuation.target_velocity,
         )

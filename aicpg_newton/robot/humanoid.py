@@ -67,6 +67,8 @@ class JointGroup:
     """Kd [N m s/rad] (paper, Sec. II-A: 1 for all)."""
     torque_limit: float
     """Largest total torque [N m] of CPG and reflex together."""
+    gear: float
+    """Largest torque of a network's action [N m], and the unit in which it is charged for (R_e, Eq. 6)."""
     damping: float
     """Passive joint damping [N m s/rad]; Kd = 1 alone leaves the joints badly underdamped."""
     armature: float
@@ -75,15 +77,16 @@ class JointGroup:
 
 # Kp, Kd: the paper. Torque limits: about 2.5 to 4 N m per kg of body mass at abdomen, hip, knee and ankle, as adults
 # reach when running; the Isaac Gym humanoid's 125/100/50 were too weak at the ankle to run at 3 m/s in a first trial.
+# Gear: the Isaac Gym humanoid's, whose masses, lengths and observations the paper's robot has.
 # Damping: stable at 240 Hz in that trial. Armature: the Isaac Gym humanoid's range, .007 to .025.
 JOINT_GROUPS = {
-    "abdomen": JointGroup(position_gain=750, velocity_gain=1, torque_limit=200, damping=8.0, armature=0.025),
-    "neck": JointGroup(position_gain=250, velocity_gain=1, torque_limit=50, damping=1.5, armature=0.017),
-    "shoulder": JointGroup(position_gain=250, velocity_gain=1, torque_limit=70, damping=2.0, armature=0.02),
-    "elbow": JointGroup(position_gain=250, velocity_gain=1, torque_limit=60, damping=1.5, armature=0.015),
-    "hip": JointGroup(position_gain=250, velocity_gain=1, torque_limit=200, damping=6.0, armature=0.02),
-    "knee": JointGroup(position_gain=250, velocity_gain=1, torque_limit=200, damping=5.0, armature=0.02),
-    "ankle": JointGroup(position_gain=250, velocity_gain=1, torque_limit=120, damping=2.0, armature=0.01),
+    "abdomen": JointGroup(position_gain=750, velocity_gain=1, torque_limit=200, gear=125, damping=8.0, armature=0.025),
+    "neck": JointGroup(position_gain=250, velocity_gain=1, torque_limit=50, gear=20, damping=1.5, armature=0.017),
+    "shoulder": JointGroup(position_gain=250, velocity_gain=1, torque_limit=70, gear=70, damping=2.0, armature=0.02),
+    "elbow": JointGroup(position_gain=250, velocity_gain=1, torque_limit=60, gear=60, damping=1.5, armature=0.015),
+    "hip": JointGroup(position_gain=250, velocity_gain=1, torque_limit=200, gear=125, damping=6.0, armature=0.02),
+    "knee": JointGroup(position_gain=250, velocity_gain=1, torque_limit=200, gear=100, damping=5.0, armature=0.02),
+    "ankle": JointGroup(position_gain=250, velocity_gain=1, torque_limit=120, gear=50, damping=2.0, armature=0.01),
 }
 
 TARGET_GAINS = {
@@ -135,6 +138,7 @@ class Motors:
     position_gain: torch.Tensor
     velocity_gain: torch.Tensor
     torque_limit: torch.Tensor
+    gear: torch.Tensor
     damping: torch.Tensor
     armature: torch.Tensor
 
@@ -142,7 +146,7 @@ class Motors:
         """Refuse what would blow up in the solver without a word.
 
         Raises:
-            UserError: A tensor is not of shape [28], not finite, negative, or (gain, limit) zero.
+            UserError: A tensor is not of shape [28], not finite, negative, or (gain, limit, gear) zero.
         """
         for field in fields(self):
             values = getattr(self, field.name)
@@ -151,7 +155,7 @@ class Motors:
                     f"{field.name} has shape {tuple(values.shape)}; the humanoid needs one value for each of its"
                     f" {NUM_JOINTS} joints"
                 )
-            positive = field.name in ("position_gain", "torque_limit")
+            positive = field.name in ("position_gain", "torque_limit", "gear")
             bad = ~torch.isfinite(values) | (values < 0) | (positive & (values == 0))
             if bad.any():
                 joint = JOINT_NAMES[int(bad.nonzero()[0])]
