@@ -15,7 +15,7 @@ from aicpg_newton.evaluation.protocols import PROTOCOLS, TERRAIN_SEEDS
 from aicpg_newton.evaluation.run import Laboratory, evaluate
 from aicpg_newton.figures.draw import draw_all
 from aicpg_newton.learning import checkpoint
-from aicpg_newton.ranges import ENVIRONMENTS, SEED, check_ranges
+from aicpg_newton.ranges import ENVIRONMENTS, SEED, Range, check_ranges
 
 
 @dataclass(kw_only=True)
@@ -43,6 +43,9 @@ class EvaluateOptions:
     all: all that the ground and the controllers allow, but training."""
     terrain_seed: Annotated[tuple[int, ...], SEED] = ()
     """Seeds of uneven ground (terrain: all of them, other protocols: the first); 1001 to 1005 if none is given."""
+    physics_rate: Annotated[int | None, Range(120, 60_000)] = None
+    """Physics steps a second [Hz], a multiple of 120; 240, or the rate of the training if that is higher, when not
+    given."""
     seed: Annotated[int, SEED] = 0
     """Seed of start states and pushes."""
     redraw: tuple[Path, ...] = ()
@@ -56,6 +59,8 @@ def main(options: EvaluateOptions) -> None:
         UserError: An option cannot be met.
     """
     check_ranges(options, "--")
+    if options.physics_rate is not None and options.physics_rate % 120:
+        raise UserError(f"--physics-rate is {options.physics_rate}; give a multiple of 120")
     if options.redraw:
         for each in fields(options):
             if each.name not in ("out", "redraw") and getattr(options, each.name) != each.default:
@@ -75,7 +80,9 @@ def main(options: EvaluateOptions) -> None:
             or (options.protocol == "all" and not each.whole_training and (uneven or not each.every_terrain))
         ]
         seeds = options.terrain_seed or TERRAIN_SEEDS
-        laboratory = Laboratory(options.num_envs, options.engine, options.device, options.seed, True, seeds)
+        laboratory = Laboratory(
+            options.num_envs, options.engine, options.device, options.seed, True, seeds, options.physics_rate
+        )
         evaluate(protocols, controllers, laboratory, options.out)
     for path in draw_all(folders, options.out):
         print(f"Figure: {path}")

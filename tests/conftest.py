@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from aicpg_newton.engines import BodyState, RobotState
+from aicpg_newton.engines import BodyState, RobotState, StepMeasures
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning import work
 from aicpg_newton.robot.humanoid import MJCF_PATH, NUM_JOINTS
+from aicpg_newton.robot.locomotion import feet_on_ground
 
 torch.set_num_threads(1)  # the tensors are small, and threads that wait for one another cost more than they save
 
@@ -47,6 +48,13 @@ class PuppetEngine:
         self.calls.append({"target": target, "torque": torque, "push": push})
         obeyed = {"joint_position": target.clone(), "joint_velocity": target_velocity.clone()}
         self.state = replace(self.state, **{**obeyed, **self.overrides})
+
+    def measures(self) -> StepMeasures:
+        """As if the whole step had been as its end is."""
+        state = self.state
+        power, contact = state.joint_torque * state.joint_velocity, feet_on_ground(state.foot_force)
+        flight = ~contact.any(dim=1)
+        return StepMeasures(power.clamp_min(0.0), (-power).clamp_min(0.0), contact.float(), flight.float())
 
     def reset(self, mask: torch.Tensor, start: BodyState) -> None:
         """Take the masked rows."""

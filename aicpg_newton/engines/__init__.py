@@ -8,12 +8,12 @@ from typing import Protocol
 import torch
 
 from aicpg_newton.device import resolve_device
-from aicpg_newton.engines.interface import BodyState, Engine, Physics, RobotState
+from aicpg_newton.engines.interface import BodyState, Engine, Physics, RobotState, StepMeasures
 from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.errors import UserError
 from aicpg_newton.robot.humanoid import Motors
 
-__all__ = ["ENGINES", "BodyState", "Engine", "Physics", "RobotState", "engine_name", "make_engine"]
+__all__ = ["ENGINES", "BodyState", "Engine", "Physics", "RobotState", "StepMeasures", "engine_name", "make_engine"]
 
 
 class _EngineClass(Protocol):

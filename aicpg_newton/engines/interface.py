@@ -90,6 +90,24 @@ class RobotState(BodyState):
         return torch.isfinite(torch.cat(parts, dim=1)).all(dim=1)
 
 
+@dataclass
+class StepMeasures:
+    """Integrals over the physics steps of the last control step, as means over its time; feet are ordered right, left.
+
+    Power of a physics step is the motor torque in it times the mean of the joint velocities before and after it, which
+    is the change of energy that the motor causes.
+    """
+
+    driving_power: torch.Tensor
+    """Mechanical power that each joint's motor puts in [W], shape [num_envs, 28]."""
+    braking_power: torch.Tensor
+    """Mechanical power that each joint's motor takes out [W], at least 0, shape [num_envs, 28]."""
+    contact: torch.Tensor
+    """Share of the time that each foot bears more than ``CONTACT_FORCE``, shape [num_envs, 2]."""
+    flight: torch.Tensor
+    """Share of the time that neither foot does, shape [num_envs]."""
+
+
 class Engine(Protocol):
     """A batch of humanoids on a plane or on uneven ground, stepped one control step at a time."""
 
@@ -122,6 +140,10 @@ class Engine(Protocol):
             torque: tau_r [N m], shape [num_envs, 28].
             push: External force on the torso's centre of mass, world frame [N], shape [num_envs, 3], for this step.
         """
+        ...
+
+    def measures(self) -> StepMeasures:
+        """Measures of the last :meth:`step`, copies; a :meth:`reset` after it changes nothing."""
         ...
 
     def reset(self, mask: torch.Tensor, start: BodyState) -> None:

@@ -9,6 +9,7 @@ from itertools import accumulate
 import warp as wp
 
 from aicpg_newton.robot.humanoid import NUM_JOINTS
+from aicpg_newton.robot.locomotion import CONTACT_FORCE
 
 wp.set_module_options({"enable_backward": False})
 
@@ -18,6 +19,9 @@ COMMAND_SIZES = (NUM_JOINTS, NUM_JOINTS, NUM_JOINTS, 3)
 STATE_SIZES = (3, 4, 3, 3, NUM_JOINTS, NUM_JOINTS, NUM_JOINTS, 3, 6, 6)
 """Numbers of each field of a robot's :class:`~aicpg_newton.engines.interface.RobotState`, in its order."""
 
+MEASURE_SIZES = (NUM_JOINTS, NUM_JOINTS, 2, 1)
+"""Numbers of each field of a robot's :class:`~aicpg_newton.engines.interface.StepMeasures`, in its order."""
+
 START_SIZES = STATE_SIZES[:6]
 """Those of a :class:`~aicpg_newton.engines.interface.BodyState`."""
 
@@ -25,6 +29,9 @@ _RATE, _TORQUE, _PUSH = map(wp.constant, accumulate(COMMAND_SIZES[:-1]))
 _ROTATION, _LINEAR, _ANGULAR, _ANGLES, _RATES, _TORQUES, _HEAD, _FORCE, _MOMENT = map(
     wp.constant, accumulate(STATE_SIZES[:-1])
 )
+
+_BRAKING, _CONTACT, _FLIGHT = map(wp.constant, accumulate(MEASURE_SIZES[:-1]))
+_CONTACT_FORCE = wp.constant(CONTACT_FORCE)
 
 
 @wp.func
@@ -47,11 +54,14 @@ def write_command(
     target_velocity: wp.array2d[wp.float32],
     wrench_in: wp.array2d[wp.spatial_vector],
     wrench_out: wp.array2d[wp.spatial_vector],
+    foot_wrench: wp.array2d[wp.spatial_vector],
+    measures: wp.array2d[wp.float32],
+    overflow: wp.array[wp.int32],
 ):
     """Put commands where the solver reads them: a torque is a shift of the position target by tau / Kp.
 
     A thread for every world and joint. ``wrench_in`` and ``wrench_out`` are the external forces of the two states that
-    the physics steps alternate between; only the torso is ever pushed.
+    the physics steps alternate between; only the torso is ever pushed. What the physics steps sum up is set to zero.
     """
     world, joint = wp.tid()
     dof = 6 + hinges[joint]
@@ -63,6 +73,13 @@ def write_command(
         wrench = wp.spatial_vector(push, wp.vec3(0.0, 0.0, 0.0))
         wrench_in[world, torso] = wrench
         wrench_out[world, torso] = wrench
+        for foot in range(2):
+            foot_wrench[world, foot] = wp.spatial_vector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            measures[world, _CONTACT + foot] = 0.0
+        measures[world, _FLIGHT] = 0.0
+        overflow[world] = 0
+    measures[world, joint] = 0.0
+    measures[world, _BRAKING + joint] = 0.0
 
 
 @wp.kernel
@@ -152,10 +169,9 @@ def add_foot_wrenches(
     foot_of_shape: wp.array[wp.int32],
     foot_body: wp.array[wp.int32],
     body_pose: wp.array[wp.transform],
-    share: float,
     foot_wrench: wp.array[wp.spatial_vector],
 ):
-    """Sum contact wrenches per foot, moved to the foot frame's origin; ``share`` is one substep's part of the mean."""
+    """Sum the contact wrenches of a physics step per foot, moved to the foot frame's origin."""
     contact = wp.tid()
     if contact >= contact_count[0]:
         return
@@ -173,21 +189,49 @@ def add_foot_wrenches(
     arm = wp.quat_rotate(wp.transform_get_rotation(body_pose[foot_body[foot]]), point)
     force = wp.spatial_top(wrench)
     moment = wp.spatial_bottom(wrench) + wp.cross(arm, force)
-    wp.atomic_add(foot_wrench, foot, share * wp.spatial_vector(force, moment))
+    wp.atomic_add(foot_wrench, foot, wp.spatial_vector(force, moment))
 
 
 @wp.kernel
-def note_buffers(
+def measure_step(
+    velocity_before: wp.array2d[wp.float32],
+    velocity_after: wp.array2d[wp.float32],
+    hinges: wp.array[wp.int32],
+    motor_torque: wp.array2d[wp.float32],
+    share: float,
+    step_wrench: wp.array2d[wp.spatial_vector],
     step_overflow: wp.array[wp.int32],
     buffers: wp.int32,
     constraint_count: wp.array[wp.int32],
     contact_count: wp.array[wp.int32],
+    foot_wrench: wp.array2d[wp.spatial_vector],
+    measures: wp.array2d[wp.float32],
     overflow: wp.array[wp.int32],
     ever: wp.array[wp.int32],
     most: wp.array[wp.int32],
 ):
-    """Collect each world's overflow bits of ``buffers``, most constraints of a world and contacts of all worlds."""
-    world = wp.tid()
+    """Add a physics step to the measures of the control step; a thread for every world and joint.
+
+    Power, contact and the mean of the feet's wrenches, of which the step is a ``share``; ``step_wrench`` is zero again
+    afterwards. And each world's overflow bits of ``buffers``, most constraints of a world and contacts of all worlds.
+    """
+    world, joint = wp.tid()
+    dof = 6 + hinges[joint]
+    power = motor_torque[world, dof] * 0.5 * (velocity_before[world, dof] + velocity_after[world, dof])
+    measures[world, joint] += share * wp.max(power, 0.0)
+    measures[world, _BRAKING + joint] += share * wp.max(-power, 0.0)
+    if joint > 0:
+        return
+    feet_down = wp.int32(0)
+    for foot in range(2):
+        wrench = step_wrench[world, foot]
+        foot_wrench[world, foot] += share * wrench
+        if wrench[2] > _CONTACT_FORCE:
+            measures[world, _CONTACT + foot] += share
+            feet_down += 1
+        step_wrench[world, foot] = wp.spatial_vector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    if feet_down == 0:
+        measures[world, _FLIGHT] += share
     overflow[world] = overflow[world] | (step_overflow[world] & buffers)
     ever[world] = ever[world] | overflow[world]
     wp.atomic_max(most, 0, constraint_count[world])

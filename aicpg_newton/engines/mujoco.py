@@ -17,7 +17,7 @@ import torch
 from mujoco.rollout import Rollout
 
 from aicpg_newton.device import cpu_cores
-from aicpg_newton.engines.interface import BodyState, Physics, RobotState, take_over
+from aicpg_newton.engines.interface import BodyState, Physics, RobotState, StepMeasures, take_over
 from aicpg_newton.engines.model import ROOT_DOFS, build, make_solver
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.errors import UserError
@@ -33,6 +33,7 @@ from aicpg_newton.robot.humanoid import (
     Motors,
     joint_index,
 )
+from aicpg_newton.robot.locomotion import feet_on_ground
 
 _TORSO, _HEAD = LINK_NAMES.index("torso"), LINK_NAMES.index("head")
 
@@ -114,6 +115,7 @@ class MujocoEngine:
         self._inputs: _Array = np.zeros((num_envs, physics.substeps, mujoco.mj_stateSize(self.model, _INPUT)))
         self._trajectory: _Array = np.zeros((num_envs, physics.substeps, rest.size))
         self._readings: _Array = np.zeros((num_envs, physics.substeps, self.model.nsensordata))
+        self._before = np.zeros((num_envs, self.model.nv))  # joint velocities at the start of the step
         self._torque = torch.zeros(num_envs, NUM_JOINTS)
         self._foot_wrench = torch.zeros(num_envs, 2, 6)
         self.overflowed = torch.zeros(num_envs, dtype=torch.bool)
@@ -189,6 +191,7 @@ class MujocoEngine:
         inputs[~sound] = 0.0
         self._inputs[:] = inputs[:, None]
         self._rows[:, 0] = 0.0
+        self._before[:] = self._rows[:, 1 + self.model.nq :]
         self._rollout.rollout(
             self._models,
             self._data,
@@ -207,6 +210,22 @@ class MujocoEngine:
         self._readings[~sound] = np.nan
         self._read_sensors()
         self.state = self._read()
+
+    def measures(self) -> StepMeasures:
+        """See :meth:`Engine.measures`. Sensors are read at the start of each physics step, whose torque they hold."""
+        readings = torch.from_numpy(self._readings)
+        after = torch.from_numpy(self._trajectory[:, :, 1 + self.model.nq :])
+        before = torch.cat((torch.from_numpy(self._before).unsqueeze(1), after[:, :-1]), dim=1)
+        velocity = 0.5 * (before + after)[..., self._qvel_columns]
+        power = readings[..., 2 * _FOOT_READINGS :] * velocity
+        force, *_ = self._foot_sensors()
+        contact = feet_on_ground(-force)
+        return StepMeasures(
+            driving_power=power.clamp_min(0.0).mean(dim=1).float(),
+            braking_power=(-power).clamp_min(0.0).mean(dim=1).float(),
+            contact=contact.float().mean(dim=1),
+            flight=(~contact.any(dim=2)).float().mean(dim=1),
+        )
 
     def reset(self, mask: torch.Tensor, start: BodyState) -> None:
         """See :meth:`Engine.reset`."""
@@ -240,12 +259,18 @@ class MujocoEngine:
 
     def _read_sensors(self) -> None:
         """Motor torque of the last physics step and each foot's wrench about its frame's origin, mean over all."""
-        readings = torch.from_numpy(self._readings)
-        feet = readings[..., : 2 * _FOOT_READINGS].reshape(self.num_envs, self.physics.substeps, 2, 4, 3)
-        force, torque, point, origin = feet.unbind(dim=3)
+        force, torque, point, origin = self._foot_sensors()
         wrench = torch.cat((force, torque + torch.linalg.cross(point - origin, force)), dim=-1)
         self._foot_wrench = -wrench.mean(dim=1).float()  # MuJoCo gives the foot's on the ground
-        self._torque = readings[:, -1, 2 * _FOOT_READINGS :].float()
+        self._torque = torch.from_numpy(self._readings[:, -1, 2 * _FOOT_READINGS :]).float()
+
+    def _foot_sensors(self) -> tuple[torch.Tensor, ...]:
+        """Force and torque of each foot on the ground, where they act, and the foot frame's origin.
+
+        Each of shape [num_envs, substeps, 2, 3], world frame.
+        """
+        feet = torch.from_numpy(self._readings[..., : 2 * _FOOT_READINGS])
+        return feet.reshape(self.num_envs, self.physics.substeps, 2, 4, 3).unbind(dim=3)
 
     def _read(self) -> RobotState:
         """The state as new tensors: the way from double to single precision copies."""

@@ -15,7 +15,7 @@ from mujoco_warp import OverflowType
 
 from aicpg_newton.device import compile_methods
 from aicpg_newton.engines import kernels
-from aicpg_newton.engines.interface import BodyState, Physics, RobotState, take_over
+from aicpg_newton.engines.interface import BodyState, Physics, RobotState, StepMeasures, take_over
 from aicpg_newton.engines.model import build, make_solver
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.robot.humanoid import FOOT_NAMES, HEAD_CENTRE, LINK_NAMES, MJCF_PATH, NUM_JOINTS, Motors
@@ -80,7 +80,10 @@ class NewtonEngine:
         if physics.capture:
             self._step_graph, self._reset_graph = self._record(self._advance), self._record(self._start_anew)
             self.solver.reset(self._states[0])
-            for array in (self._observables.qfrc_actuator, self._foot_wrench, self._overflow, self._ever, self._most):
+            for array in (
+                *(self._observables.qfrc_actuator, self._foot_wrench, self._measures),
+                *(self._overflow, self._ever, self._most),
+            ):
                 array.zero_()
         newton.eval_fk(self.model, self._states[0].joint_q, self._states[0].joint_qd, self._states[0])
         self._gather()
@@ -140,7 +143,8 @@ class NewtonEngine:
             zeros((n, sum(sizes)), wp.float32)
             for sizes in (kernels.COMMAND_SIZES, kernels.START_SIZES, kernels.STATE_SIZES)
         )
-        self._foot_wrench = zeros((n, 2), wp.spatial_vectorf)
+        self._foot_wrench, self._step_wrench = zeros((n, 2), wp.spatial_vectorf), zeros((n, 2), wp.spatial_vectorf)
+        self._measures = zeros((n, sum(kernels.MEASURE_SIZES)), wp.float32)
         self._overflow, self._ever, self._most = zeros(n, wp.int32), zeros(n, wp.int32), zeros(2, wp.int32)
         self._world_mask = zeros(n + 1, wp.bool)  # the last world is that of what belongs to none
         self._robot_mask = self._world_mask[:n]
@@ -170,7 +174,8 @@ class NewtonEngine:
                     self._control.joint_target_qd,
                     *(state.body_f for state in self._states),
                 )
-            ],
+            ]
+            + [self._foot_wrench, self._measures, self._overflow],
             device=self._wp_device,
         )
         self._substeps()
@@ -213,8 +218,6 @@ class NewtonEngine:
 
     def _substeps(self) -> None:
         """All physics steps of a control step."""
-        self._foot_wrench.zero_()
-        self._overflow.zero_()
         state_in, state_out = self._states
         for _ in range(self.physics.substeps):
             if self._collisions is not None:
@@ -240,21 +243,25 @@ class NewtonEngine:
                     self._foot_of_shape,
                     self._foot_body,
                     state_out.body_q,
-                    1.0 / self.physics.substeps,
                 ],
-                outputs=[self._foot_wrench.flatten()],
+                outputs=[self._step_wrench.flatten()],
                 device=self._wp_device,
             )
             wp.launch(
-                kernels.note_buffers,
-                dim=self.num_envs,
+                kernels.measure_step,
+                dim=(self.num_envs, NUM_JOINTS),
                 inputs=[
+                    *(state.joint_qd.reshape((self.num_envs, -1)) for state in (state_in, state_out)),
+                    self._hinges,
+                    self._motor_torque,
+                    1.0 / self.physics.substeps,
+                    self._step_wrench,
                     self._observables.overflow,
                     _BUFFERS,
                     self.solver.mjw_data.nefc,
                     self._contacts.rigid_contact_count,
                 ],
-                outputs=[self._overflow, self._ever, self._most],
+                outputs=[self._foot_wrench, self._measures, self._overflow, self._ever, self._most],
                 device=self._wp_device,
             )
             state_in, state_out = state_out, state_in
@@ -288,6 +295,11 @@ class NewtonEngine:
         self._tell(target, target_velocity, torque, self._no_push if push is None else push)
         self._run(self._step_graph, self._advance)
         self.state = self._told()
+
+    def measures(self) -> StepMeasures:
+        """See :meth:`Engine.measures`."""
+        driving, braking, contact, flight = wp.to_torch(self._measures).clone().split(kernels.MEASURE_SIZES, dim=1)
+        return StepMeasures(driving, braking, contact, flight.squeeze(1))
 
     def _run(self, graph: wp.Graph | None, kernels_of: Callable[[], None]) -> None:
         """Replay a graph, or launch its kernels one by one where nothing was recorded."""

@@ -160,7 +160,7 @@ _RENAMED = {"reflex_energy": "action_energy"}
 _TERM_OF = {"pattern_tracking": "ai-cpg", "target_speed": "ppo"}
 _SETTINGS_OF = {"reflex": ("ai-cpg", "ppo"), "target_speed": ("ppo",), "reference": ("amp",), "imitation": ("amp",)}
 
-_SAME_HUMANOID = dict.fromkeys(("60eacc976df0", "5ad37ed817ac"), "5c9e39e9b196")
+_SAME_HUMANOID: dict[str, str] = dict.fromkeys(("60eacc976df0", "5ad37ed817ac"), "5c9e39e9b196")
 """Earlier fingerprints of the same humanoid: of its file, and of its facts without the gears."""
 
 

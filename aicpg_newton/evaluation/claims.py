@@ -14,6 +14,7 @@ import numpy as np
 from aicpg_newton.env.methods import METHODS
 from aicpg_newton.evaluation.intervals import student
 from aicpg_newton.evaluation.results import Row
+from aicpg_newton.evaluation.summaries import stays_on_course
 
 OURS = METHODS["ai-cpg"].title
 """The method that the others are compared with; its speed follows the stride frequency."""
@@ -84,14 +85,15 @@ def at_speed(rows: Iterable[Row], speed: float, column: str) -> float:
     """Value of one AI-CPG controller at a speed, on straight lines between its stride frequencies.
 
     Args:
-        rows: Its rows at all frequencies. Those in which over half of the robots fell within the trial say nothing.
+        rows: Its rows at all frequencies. Those in which over half of the robots fell or turned away within the trial
+            say nothing.
         speed: [m/s].
         column: What is asked for.
 
     Returns:
         NaN outside of the speeds that it goes at.
     """
-    known = [row for row in rows if row.get("survived", 1.0) >= 0.5 and math.isfinite(row[column])]
+    known = [row for row in rows if stays_on_course(row) and math.isfinite(row[column])]
     pairs = sorted((row["speed_mps"], row[column]) for row in known)
     if not pairs or not pairs[0][0] <= speed <= pairs[-1][0]:
         return math.nan

@@ -73,24 +73,12 @@ def moving_mean(values: torch.Tensor, valid: torch.Tensor, window: int) -> torch
     return result
 
 
-def mechanical_power(joint_torque: torch.Tensor, joint_velocity: torch.Tensor) -> torch.Tensor:
-    """Sum over joints of |torque x velocity| [W] (numerator of Eq. 12).
-
-    Args:
-        joint_torque: Motor torque [N m], shape [..., 28].
-        joint_velocity: Joint velocity [rad/s], shape [..., 28].
-
-    Returns:
-        Shape [...]; braking costs as much as driving.
-    """
-    return (joint_torque * joint_velocity).abs().sum(dim=-1)
-
-
 def cost_of_transport(power: torch.Tensor, speed: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
     """CoT = sum_t p / (m g sum_t v) (Eq. 12, dimensionless).
 
     Args:
-        power: :func:`mechanical_power` [W], shape [time, num_envs].
+        power: Sum over joints of driving and braking power (:class:`~aicpg_newton.engines.interface.StepMeasures`) [W],
+            shape [time, num_envs]; braking costs as much as driving.
         speed: Velocity of the centre of mass in the target direction [m/s], shape [time, num_envs].
         valid: Steps that count, shape [time, num_envs].
 
@@ -288,11 +276,14 @@ def whole_strides(
     return torch.where(so_far <= strides, so_far, 0), strides
 
 
-def duty_factor(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
+def duty_factor(
+    support: torch.Tensor, contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor
+) -> torch.Tensor:
     """Share of its whole strides that a foot is on the ground, mean of both feet.
 
     Args:
-        contact: Whether each foot is on the ground, bool, shape [time, num_envs, 2].
+        support: Share of each step that each foot is on the ground, shape [time, num_envs, 2].
+        contact: Whether it is, on the mean of the step, bool, same shape; strides are told by it.
         valid: Steps that count, one stretch for each environment; shape [time, num_envs].
         period: Steps of a stride, :func:`stride_period`, shape [num_envs].
 
@@ -300,24 +291,37 @@ def duty_factor(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor
         Shape [num_envs]; NaN where a foot makes no whole stride.
     """
     inside = whole_strides(contact, valid.unsqueeze(2).expand_as(contact), period)[0] > 0
-    return ((contact & inside).sum(dim=0) / inside.sum(dim=0)).mean(dim=1)
+    return (torch.where(inside, support, 0.0).sum(dim=0) / inside.sum(dim=0)).mean(dim=1)
 
 
-def flight_ratio(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
+def flight_ratio(
+    flight: torch.Tensor, contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor
+) -> torch.Tensor:
     """Share of whole gait cycles with both feet off the ground (paper, Sec. III-A), shape [num_envs].
 
-    A cycle begins when the right foot lands. Arguments as for :func:`duty_factor`.
+    A cycle begins when the right foot lands.
+
+    Args:
+        flight: Share of each step with both feet off the ground, shape [time, num_envs].
+        contact: As for :func:`duty_factor`.
+        valid: As for :func:`duty_factor`.
+        period: As for :func:`duty_factor`.
     """
     stride, strides = whole_strides(contact[..., 0], valid, period)
     inside = stride > 0
-    ratio = (inside & ~contact.any(dim=2)).sum(dim=0) / inside.sum(dim=0)
+    ratio = torch.where(inside, flight, 0.0).sum(dim=0) / inside.sum(dim=0)
     return torch.where(strides > 0, ratio, math.nan)
 
 
-def flight_share_of_strides(contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
-    """Share of the right foot's whole strides that hold a flight phase, shape [num_envs]; arguments as above."""
+def flight_share_of_strides(
+    flight: torch.Tensor, contact: torch.Tensor, valid: torch.Tensor, period: torch.Tensor
+) -> torch.Tensor:
+    """Share of the right foot's whole strides with at least one whole step of flight, shape [num_envs].
+
+    Arguments as for :func:`flight_ratio`.
+    """
     stride, strides = whole_strides(contact[..., 0], valid, period)
-    flying = torch.where(contact.any(dim=2), 0, stride)
+    flying = torch.where(flight < 1.0 - 1e-6, 0, stride)  # a sum of quarters is not quite one
     with_flight = torch.stack(
         [(flying == number).any(dim=0) for number in range(1, int(strides.max()) + 1)]
         or [torch.zeros_like(strides, dtype=torch.bool)]

@@ -16,6 +16,9 @@ FREQUENCIES = tuple(round(0.70 + 0.05 * i, 2) for i in range(15))
 GAITS = {"walking": 0.9, "running": 1.3}
 """Stride frequencies that stand for walking and for running, near those of the imitated clips [Hz]."""
 
+PHYSICS_RATE = 240
+"""Physics steps a second in tests [Hz], whatever a network was trained at; power is integrated over them."""
+
 TERRAIN_SEEDS = (1001, 1002, 1003, 1004, 1005)
 """Seeds of the terrain for tests; training never uses them unless it is told to."""
 
@@ -75,17 +78,18 @@ class Protocol:
 
     @property
     def further_columns(self) -> tuple[str, ...]:
-        """How many environments a row is from, the 95 % interval over them of each measure, and the kind of falls.
+        """How many environments a row is from, the 95 % interval over them of each measure, and who turned away.
 
-        ``survived`` has the interval's ends, the others half its width; of ``falls_per_minute`` it is told how many are
-        robots that turned away. Results of earlier versions lack some of these columns.
+        ``survived`` has the interval's ends, the others half its width. Results of earlier versions lack some of these
+        columns.
         """
         if not self.intervals:
             return ()
         halves = (f"{name}_ci95" for name in self.intervals if name != "survived")
         ends = ("survived_low", "survived_high") if "survived" in self.intervals else ()
-        turned = ("turned_away_per_minute",) if "falls_per_minute" in self.intervals else ()
-        return ("environments", *halves, *ends, *turned)
+        turned = ("turned_away_per_minute", "turned_away_per_minute_ci95")
+        share = ("turned_away",) if ends else ()
+        return ("environments", *halves, *ends, *share, *turned)
 
     @property
     def turns_the_frequency(self) -> bool:

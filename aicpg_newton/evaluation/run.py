@@ -16,13 +16,14 @@ import torch
 
 import aicpg_newton
 from aicpg_newton.device import resolve_device
-from aicpg_newton.engines import Engine
+from aicpg_newton.engines import Engine, Physics
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import metrics, results, summaries, terrain_summaries, transition_summaries
 from aicpg_newton.evaluation.controllers import Controller, ground_of
 from aicpg_newton.evaluation.protocols import (
     DISTURBANCE,
+    PHYSICS_RATE,
     PROTOCOLS,
     SLOWING,
     SPEED,
@@ -42,6 +43,7 @@ from aicpg_newton.learning.policy import load_policy
 from aicpg_newton.playing.rollout import no_action
 from aicpg_newton.robot import humanoid
 from aicpg_newton.robot.fingerprint import fingerprint
+from aicpg_newton.robot.humanoid import CONTROL_RATE
 from aicpg_newton.robot.locomotion import CONTACT_FORCE
 
 _IDLE = 1.0  # stride frequency of the rhythm generator where nothing follows it [Hz]
@@ -59,6 +61,7 @@ class Laboratory:
         seed: Seed of start states and pushes.
         show: Whether to draw a progress bar on stderr.
         terrain_seeds: Seeds of the ground; on a plane they change nothing.
+        physics_rate: Physics steps a second [Hz]; None for :data:`PHYSICS_RATE`, or the task's own if that is more.
     """
 
     num_envs: int | None = None
@@ -67,6 +70,7 @@ class Laboratory:
     seed: int = 0
     show: bool = False
     terrain_seeds: tuple[int, ...] = TERRAIN_SEEDS
+    physics_rate: int | None = None
 
     def __post_init__(self) -> None:
         self._device = resolve_device(self.device)
@@ -76,6 +80,13 @@ class Laboratory:
     def environments(self, groups: int) -> int:
         """Number of environments for so many groups."""
         return self.num_envs or environments_for(groups)
+
+    def physics_of(self, task: Task) -> Physics:
+        """The task's physics at the rate of the test."""
+        substeps = max(task.physics.substeps, PHYSICS_RATE // round(CONTROL_RATE))
+        if self.physics_rate is not None:
+            substeps = self.physics_rate // round(CONTROL_RATE)
+        return replace(task.physics, substeps=substeps)
 
     def engine_of(self, task: Task, number: int) -> Engine:
         """The engine with the task's physics, ground and motors, for so many environments."""
@@ -109,6 +120,7 @@ class Laboratory:
 
         task = on_terrain(controller.task.undisturbed(), terrain_seed)
         task.pushes = protocol.pushes()
+        task.physics = self.physics_of(task)
         task.termination.episode_steps = protocol.steps + 1
         engine = self.engine_of(task, self.environments(len(frequencies)))
         environment = Environment(task, engine, controller.pattern, seed=self.seed)
@@ -125,6 +137,7 @@ class Laboratory:
         gpu = torch.cuda.get_device_name(self._device) if self._device.type == "cuda" else None
         return {
             "engine": self._engines[-1].name,
+            "physics_rate_hz": sorted({round(1.0 / physics.timestep) for physics, *_ in self._worlds}),
             "device": str(self._device),
             "gpu": gpu,
             "cpu_threads": torch.get_num_threads(),
@@ -325,7 +338,9 @@ def _definitions() -> dict[str, Any]:
         "total_mass_kg": humanoid.TOTAL_MASS,
         "leg_length_m": humanoid.LEG_LENGTH,
         "points_along_and_across_a_sole": metrics.SOLE_GRID,
-        "falls": "pelvis low or tilted, or facing away from the target by more than the task's angle",
+        "falls": "pelvis low or tilted by the task's limits",
+        "turned_away": "no fall, but facing away from the target by more than the task's angle; ends the episode, too",
+        "power": "motor torque of each physics step times the mean of the joint velocities before and after it",
     }
 
 

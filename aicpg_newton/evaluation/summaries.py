@@ -62,16 +62,17 @@ def steady_measures(trajectories: Trajectories) -> dict[str, torch.Tensor]:
     valid = valid & (valid.sum(dim=0) >= SHORTEST)
     period = metrics.stride_period(trajectories.joint_position, valid)
     strides = trajectories.contact, valid, period
+    flight = trajectories.flight, *strides
     return {
         "speed_mps": metrics.masked_mean(trajectories.speed, valid),
         "cost_of_transport": metrics.cost_of_transport(trajectories.power, trajectories.speed, valid),
         # Left limbs are compared half a stride after right ones; see the function for why.
         "symmetry_index": metrics.symmetry_index(trajectories.joint_position, valid, 0.5 * period),
         "balance_index": metrics.balance_index(trajectories.root_rotation, valid),
-        "flight_ratio": metrics.flight_ratio(*strides),
+        "flight_ratio": metrics.flight_ratio(*flight),
         "stride_frequency_hz": CONTROL_RATE / period,
-        "duty_factor": metrics.duty_factor(*strides),
-        "flight_share_of_strides": metrics.flight_share_of_strides(*strides),
+        "duty_factor": metrics.duty_factor(trajectories.support, *strides),
+        "flight_share_of_strides": metrics.flight_share_of_strides(*flight),
     }
 
 
@@ -85,19 +86,18 @@ def sole_measures(trajectories: Trajectories) -> dict[str, torch.Tensor]:
 
 
 def falls(fallen: torch.Tensor, turned: torch.Tensor) -> Row:
-    """Falls per minute of some environments, how certain that is, and how many were turnings away.
+    """Falls a minute and turnings away a minute of some environments, each with its certainty.
 
     Args:
-        fallen: Where an episode ended with a fall of either kind, bool, shape [time, num_envs].
+        fallen: Where an episode ended with a fall, bool, shape [time, num_envs].
         turned: Where it ended as the robot had turned away.
     """
     minutes = len(fallen) * CONTROL_DT / 60.0
-    return {
-        "falls_per_minute": mean(metrics.falls_per_minute(fallen)),
-        "falls_per_minute_ci95": intervals.half_width_of_rate(fallen.sum(dim=0).tolist(), minutes),
-        "turned_away_per_minute": mean(metrics.falls_per_minute(turned)),
-        "environments": fallen.shape[1],
-    }
+    row: Row = {"environments": fallen.shape[1]}
+    for name, ended in (("falls_per_minute", fallen), ("turned_away_per_minute", turned)):
+        row[name] = mean(metrics.falls_per_minute(ended))
+        row[f"{name}_ci95"] = intervals.half_width_of_rate(ended.sum(dim=0).tolist(), minutes)
+    return row
 
 
 def steady_row(trajectories: Trajectories, frequency: float, source: Source) -> Row:
@@ -121,6 +121,7 @@ def steady_row(trajectories: Trajectories, frequency: float, source: Source) -> 
         **{name: mean(values) for name, values in sole_measures(trajectories).items()},
         "froude": float(froude_number(torch.tensor(speed))),
         "survived": float(stood.float().mean()),
+        "turned_away": float(trajectories.turned.any(dim=0).float().mean()),
         **falls(trajectories.fallen, trajectories.turned),
         "reason": "; ".join(reasons),
         **{f"{name}_ci95": intervals.half_width(values.tolist()) for name, values in each.items()},
@@ -148,7 +149,7 @@ def disturbance_rows(
     """Falls per minute and mean speed at each frequency, over all episodes of the minute."""
     rows = []
     valid = trajectories.age >= SHORTEST
-    valid &= ~trajectories.fallen
+    valid &= ~trajectories.failed
     for index, frequency in enumerate(frequencies.tolist()):
         mine = trajectories.group == index
         # All steps of the group as one: an environment that falls more often has fewer steps to tell a speed from.
@@ -165,12 +166,17 @@ def disturbance_rows(
     return rows, {}
 
 
+def stays_on_course(row: Row) -> bool:
+    """Whether at least half of a row's environments never fell and at most half turned away; unknown counts as yes."""
+    return not (row.get("survived", 1.0) < 0.5 or row.get("turned_away", 0.0) > 0.5)
+
+
 def speeds_to_command(sweep: list[Row], source: Source, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Speeds to command, and the frequencies that the sweep's own curve gives for them.
 
-    The curve is made of the frequencies at which at least half of the environments never fell, and straight between
-    them. Where speed drops as frequency rises, the curve keeps the highest speed so far, so that every speed has one
-    frequency, the lowest that reaches it.
+    The curve is made of the frequencies at which at least half of the environments never fell and at most half turned
+    away, and straight between them. Where speed drops as frequency rises, the curve keeps the highest speed so far, so
+    that every speed has one frequency, the lowest that reaches it.
 
     Args:
         sweep: Rows of the sweep.
@@ -181,7 +187,7 @@ def speeds_to_command(sweep: list[Row], source: Source, count: int) -> tuple[np.
         Speeds [m/s] and frequencies [Hz], each of shape [count], or [0] where there is no such frequency.
     """
     mine = [row for row in sweep if (row["method"], row["seed"]) == (source.method, source.seed)]
-    points = sorted((row["frequency_hz"], row["speed_mps"]) for row in mine if row["survived"] >= 0.5)
+    points = sorted((row["frequency_hz"], row["speed_mps"]) for row in mine if stays_on_course(row))
     if not points:
         return np.empty(0), np.empty(0)
     frequency, speed = np.array(points).T

@@ -22,7 +22,7 @@ SHOWN = 4
 
 _MEASURES = (
     *("speed_mps", "symmetry_index", "balance_index", "cost_of_transport", "flight_ratio", "falls_per_minute"),
-    *("survived", "sole_penetration_m", "sole_hover_m"),
+    *("survived", "turned_away", "sole_penetration_m", "sole_hover_m"),
 )
 
 
@@ -106,7 +106,8 @@ def _way(trajectories: Trajectories, env: int) -> list[Row]:
         vx, vy = ((position[step] - position[before]) / ((step - before) * CONTROL_DT)).tolist()
         reason = ""
         if trajectories.ended[step, env]:
-            reason = "fell" if trajectories.fallen[step, env] else "came to the edge of the terrain"
+            turned = "turned away" if trajectories.turned[step, env] else "came to the edge of the terrain"
+            reason = "fell" if trajectories.fallen[step, env] else turned
         if step == 0:
             reason += " in the first step: no velocity yet"
         points.append(

@@ -35,8 +35,8 @@ _SOLE_CHUNK = 16  # the same where each foot has a grid of points
 class Trajectories:
     """Trajectories of a protocol, each tensor of shape [time, num_envs, ...]; states before any reset.
 
-    A fall and leaving the course (facing more than the task's angle away from the target) both end an episode and both
-    count as falls, as in play.py's table. Coming to the edge of the terrain ends an episode without a fall.
+    A fall, turning away (facing more than the task's angle away from the target without having fallen) and coming to
+    the edge of the terrain end an episode. Power, support and flight are integrated over the physics steps.
     """
 
     group: torch.Tensor
@@ -54,15 +54,19 @@ class Trajectories:
     joint_position: torch.Tensor
     """Joint angles [rad], [..., 28]."""
     power: torch.Tensor
-    """Mechanical power of all joints [W]."""
+    """Mechanical power of all motors, driving and braking both positive [W]."""
     contact: torch.Tensor
-    """Whether each foot is on the ground (right, left), bool, [..., 2]."""
+    """Whether each foot is on the ground (right, left) on the mean of the step, bool, [..., 2]."""
+    support: torch.Tensor
+    """Share of the step that each foot is on the ground, [..., 2]."""
+    flight: torch.Tensor
+    """Share of the step that neither foot is."""
     fallen: torch.Tensor
     """Whether the episode ended in this step with a fall, bool."""
     turned: torch.Tensor
-    """Whether that fall was a turning away, bool."""
+    """Whether it ended in this step as the robot had turned away, bool."""
     ended: torch.Tensor
-    """Whether the episode ended in this step, with a fall or at the edge of the terrain, bool."""
+    """Whether it ended in this step, with a fall, by turning away or at the edge of the terrain, bool."""
     age: torch.Tensor
     """Steps since the episode began, from 0."""
     speed: torch.Tensor
@@ -72,6 +76,11 @@ class Trajectories:
     def standing(self) -> torch.Tensor:
         """Steps before the end of the environment's first episode, bool, shape [time, num_envs]."""
         return self.ended.cumsum(dim=0) == 0
+
+    @property
+    def failed(self) -> torch.Tensor:
+        """Whether the episode ended in this step with a fall or by turning away, bool, shape [time, num_envs]."""
+        return self.fallen | self.turned
 
     @property
     def settled(self) -> torch.Tensor:
@@ -118,6 +127,8 @@ def record(
         joint_position=empty(NUM_JOINTS),
         power=empty(),
         contact=empty(2, dtype=torch.bool),
+        support=empty(2),
+        flight=empty(),
         fallen=empty(dtype=torch.bool),
         turned=empty(dtype=torch.bool),
         ended=empty(dtype=torch.bool),
@@ -136,12 +147,15 @@ def record(
         kept.root_position[step] = frame.root_position
         kept.root_rotation[step] = frame.root_rotation
         kept.joint_position[step] = frame.joint_position
-        kept.power[step] = metrics.mechanical_power(outcome.state.joint_torque, outcome.state.joint_velocity)
+        measures = environment.engine.measures()
+        kept.power[step] = (measures.driving_power + measures.braking_power).sum(dim=1)
+        kept.support[step] = measures.contact
+        kept.flight[step] = measures.flight
         kept.contact[step] = feet_on_ground(outcome.state.foot_force)
         kept.ground_height[step] = outcome.ground_height
         kept.turned[step] = outcome.off_course
-        kept.fallen[step] = outcome.fallen | outcome.off_course
-        kept.ended[step] = kept.fallen[step] | outcome.timed_out
+        kept.fallen[step] = outcome.fallen
+        kept.ended[step] = outcome.fallen | outcome.off_course | outcome.timed_out
         kept.age[step] = age
         age = torch.where(kept.ended[step], 0, age + 1)
         environment.command(frequency=ramp(step + 2))

@@ -16,7 +16,7 @@ from aicpg_newton.robot.humanoid import CONTROL_DT, CONTROL_RATE
 from aicpg_newton.robot.locomotion import froude_number
 
 FLIGHT_THRESHOLD = 1.5 / 60
-"""A window of 60 steps with a larger flight phase ratio has flight: two steps, as one may be a chance of sampling."""
+"""A window of 60 steps with a larger flight phase ratio has flight: 25 ms in a second."""
 
 TRANSITION_FROUDE = 0.5
 """Froude number of the change of gait (paper, Sec. II-C.2)."""
@@ -71,8 +71,8 @@ def _rows(trajectories: Trajectories, source: Source) -> tuple[list[Row], torch.
     """A row per control step; speed [m/s] and flight ratio in windows, each [time, num_envs]; who is shown."""
     settled = trajectories.settled
     speed = metrics.moving_mean(trajectories.speed, settled, WINDOW)
-    flight = metrics.moving_mean((~trajectories.contact.any(dim=2)).float(), settled, WINDOW)
-    standing, upright = trajectories.standing, trajectories.fallen.cumsum(dim=0) == 0
+    flight = metrics.moving_mean(trajectories.flight, settled, WINDOW)
+    standing, upright = trajectories.standing, trajectories.failed.cumsum(dim=0) == 0
     shown = int(standing.sum(dim=0).argmax())  # the first of those that stay up longest
     rows = []
     for step in range(len(speed)):
@@ -159,9 +159,10 @@ def _whole(trajectories: Trajectories) -> torch.Tensor:
 
 
 def _survivors(trajectories: Trajectories) -> dict[str, int]:
-    """How many environments never fell, and how many got through: those that did not leave the terrain either."""
+    """How many environments never fell, never turned away, and got through: did not leave the terrain either."""
     return {
         "environments_that_never_fell": int((~trajectories.fallen.any(dim=0)).sum()),
+        "environments_that_never_turned_away": int((~trajectories.turned.any(dim=0)).sum()),
         "environments_that_got_through": int(_whole(trajectories).sum()),
         "environments": trajectories.fallen.shape[1],
     }
@@ -174,11 +175,12 @@ def _diagram(trajectories: Trajectories, env: int, start: float, end: float) -> 
         each[chosen, env : env + 1]
         for each in (trajectories.contact, trajectories.standing, trajectories.joint_position)
     )
+    support, flight = (each[chosen, env : env + 1] for each in (trajectories.support, trajectories.flight))
     period = metrics.stride_period(joint_position, valid)
     measures = {
         "stride_frequency_hz": CONTROL_RATE / float(period),
-        "duty_factor": float(metrics.duty_factor(contact, valid, period)),
-        "flight_ratio": float(metrics.flight_ratio(contact, valid, period)),
+        "duty_factor": float(metrics.duty_factor(support, contact, valid, period)),
+        "flight_ratio": float(metrics.flight_ratio(flight, contact, valid, period)),
     }
     incomplete = any(math.isnan(value) for value in measures.values())
     return {"from_s": start, "to_s": end, **measures, "reason": "no whole stride of both feet" if incomplete else ""}

@@ -23,7 +23,6 @@ from aicpg_newton.env.task import Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.learning.trial import FREQUENCIES, Trial
 from aicpg_newton.robot.humanoid import CONTROL_RATE
-from aicpg_newton.robot.locomotion import feet_on_ground
 from aicpg_newton.viewing.video import FRAME_RATE, VideoWriter
 
 ROBOTS = 8
@@ -63,10 +62,13 @@ class Demonstration:
             For each gait the share of robots that never fell, their mean speed [m/s] and the share of the time in
             which no foot is on the ground, the last two over the robots' first episodes; by name.
         """
-        self._outcomes = outcomes = list(self._trial.outcomes(decide))
+        self._outcomes, flights = [], []
+        for outcome in self._trial.outcomes(decide):
+            self._outcomes.append(outcome)
+            flights.append(self._trial.measures().flight)
+        outcomes, flight = self._outcomes, torch.stack(flights)
         standing = torch.stack([~(outcome.fallen | outcome.off_course) for outcome in outcomes]).cumprod(dim=0).bool()
         speed = torch.stack([outcome.state.root_linear_velocity[:, 0] for outcome in outcomes])
-        flying = torch.stack([~feet_on_ground(outcome.state.foot_force).any(dim=1) for outcome in outcomes])
         measures: dict[str, float] = {}
         for group, frequency in enumerate(FREQUENCIES if self._follows_frequency else (math.nan,)):
             mine = slice(group * ROBOTS, (group + 1) * ROBOTS) if self._follows_frequency else slice(None)
@@ -74,7 +76,7 @@ class Demonstration:
             name = f"Demonstration/{self._title(frequency)}"
             measures[f"{name}_stand"] = float(counted[-1].float().mean())
             measures[f"{name}_speed"] = float(speed[:, mine][counted].mean())
-            measures[f"{name}_flight"] = float(flying[:, mine][counted].float().mean())
+            measures[f"{name}_flight"] = float(flight[:, mine][counted].mean())
         return measures
 
     def _title(self, frequency: float) -> str:

@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from aicpg_newton.device import torch_threads
+from aicpg_newton.engines import StepMeasures
 from aicpg_newton.env.environment import Environment, engine_for
 from aicpg_newton.env.outcome import StepOutcome
 from aicpg_newton.env.task import Task
@@ -51,6 +52,10 @@ class Trial:
         frequency = torch.tensor(FREQUENCIES, device=environment.device)
         environment.restart(frequency.repeat_interleave(self.robots))
         return environment
+
+    def measures(self) -> StepMeasures:
+        """Measures of the step that came last."""
+        return self._engine.measures()
 
     @torch.no_grad()
     def outcomes(self, decide: Callable[[TensorDict], torch.Tensor]) -> Iterator[StepOutcome]:

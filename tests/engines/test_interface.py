@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields, replace
 from pathlib import Path
 
 import mujoco
@@ -10,9 +11,10 @@ import pytest
 import torch
 
 from aicpg_newton.engines import ENGINES, BodyState, Engine, Physics, RobotState
+from aicpg_newton.engines.mujoco import MujocoEngine
 from aicpg_newton.engines.terrain import Ground, Terrain
 from aicpg_newton.gait.cpg import pd_torque
-from aicpg_newton.robot import rotations
+from aicpg_newton.robot import humanoid, rotations
 from aicpg_newton.robot.humanoid import (
     CONTROL_DT,
     GRAVITY,
@@ -259,6 +261,70 @@ def test_not_finite_stays_in_one_environment(engine: Engine, bad: str) -> None:
     for _ in range(6):
         engine.step(targets, zeros, zeros)
     assert engine.state.finite().all()
+
+
+@pytest.mark.parametrize("name", ["newton", "mujoco"])
+@pytest.mark.parametrize("substeps", [4, 16])
+def test_power_is_what_motors_do_to_the_energy(name: str, substeps: int) -> None:
+    """In flight without damping, motors' work is the change of kinetic and potential energy, as MuJoCo counts it.
+
+    The first robot's motors are off: it loses what the integrator loses in falling, as all do. Torque times velocity at
+    the end of each step would be 17 % too much. Torques against the motion brake.
+    """
+    facts = replace(humanoid.torque_motors(), damping=torch.zeros(NUM_JOINTS))
+    physics = Physics(substeps=substeps)
+    engine = ENGINES[name]()(NUM_ENVS, torch.device("cpu"), facts, physics)
+    judge = MujocoEngine(1, torch.device("cpu"), facts, physics)
+    data = mujoco.MjData(judge.model)  # type: ignore[attr-defined]
+
+    def energy() -> torch.Tensor:
+        values = []
+        own = BodyState(*(getattr(engine.state, each.name) for each in fields(BodyState)))
+        for qpos, qvel in zip(*judge.coordinates(own), strict=True):
+            data.qpos[:], data.qvel[:] = qpos, qvel
+            mujoco.mj_forward(judge.model, data)  # type: ignore[attr-defined]
+            mujoco.mj_energyPos(judge.model, data)  # type: ignore[attr-defined]
+            mujoco.mj_energyVel(judge.model, data)  # type: ignore[attr-defined]
+            values.append(float(data.energy.sum()))
+        return torch.tensor(values)
+
+    values, zeros = start(height=5.0), torch.zeros(NUM_ENVS, NUM_JOINTS)
+    lower, upper = skeleton().ranges.unbind(dim=1)
+    values["joint_position"] = (0.5 * (lower + upper)).repeat(NUM_ENVS, 1)  # away from the stops
+    reset_all(engine, values)
+    torque = random_targets(12, scale=0.5)
+    torque[0] = 0.0
+    worked, before = torch.zeros(NUM_ENVS), energy()
+    for _ in range(6):
+        engine.step(zeros, zeros, torque)
+        measures = engine.measures()
+        assert (measures.driving_power >= 0.0).all() and (measures.braking_power >= 0.0).all()
+        worked += CONTROL_DT * (measures.driving_power - measures.braking_power).sum(dim=1)
+        assert measures.flight.tolist() == [1.0] * NUM_ENVS and not measures.contact.any()
+    gained = energy() - before
+    assert (worked[1:] > 0.6).all() and worked[0].abs() < 1e-2
+    torch.testing.assert_close(gained - gained[0], worked - worked[0], rtol=0.02, atol=0.0)
+    speed = engine.state.joint_velocity
+    engine.step(zeros, zeros, -0.1 * torque.abs() * speed.sign())
+    measures, fast = engine.measures(), speed.abs() > 2.0
+    assert fast.sum() >= 10
+    assert (measures.braking_power[fast] > 0.0).all() and (measures.driving_power[fast] == 0.0).all()
+
+
+@on_every_ground
+def test_feet_that_stand_are_in_contact_all_the_time(engine: Engine) -> None:
+    """And a reset leaves the measures of the step before as they are."""
+    reset_all(engine, start())
+    zeros = torch.zeros(NUM_ENVS, NUM_JOINTS)
+    for _ in range(20):
+        engine.step(zeros, zeros, zeros)
+    measures = engine.measures()
+    reset_all(engine, start(height=5.0))
+    assert torch.equal(engine.measures().contact, measures.contact)
+    torch.testing.assert_close(measures.contact, torch.ones(NUM_ENVS, 2))
+    torch.testing.assert_close(measures.flight, torch.zeros(NUM_ENVS))
+    engine.step(zeros, zeros, zeros)
+    assert not engine.measures().contact.any() and torch.equal(measures.contact, torch.ones(NUM_ENVS, 2))
 
 
 def test_torque_is_limited(engine: Engine) -> None:

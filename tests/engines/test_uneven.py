@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 import warp as wp
@@ -190,15 +191,20 @@ def test_contacts_beyond_the_buffer_are_counted() -> None:
 def test_constraints_beyond_the_buffer_are_each_worlds_own() -> None:
     """Bits of buffers are kept over the physics steps of a control step, those of iterations are not."""
     overflow, ever, most = (wp.zeros(number, dtype=wp.int32, device="cpu") for number in (3, 3, 2))
+    rows = wp.zeros((3, 100), dtype=wp.float32, device="cpu")
+    hinges = wp.array(np.arange(NUM_JOINTS), dtype=wp.int32, device="cpu")
+    wrench = wp.zeros((3, 2), dtype=wp.spatial_vectorf, device="cpu")
     for bits in ([0, 1, 8], [0, 0, 8]):
         given = wp.array(bits, dtype=wp.int32, device="cpu")
         inputs = [
+            *(rows, rows, hinges, rows, 0.25, wrench),
             given,
             7,
             wp.array([4, 5, 6], dtype=wp.int32, device="cpu"),
             wp.array([9], dtype=wp.int32, device="cpu"),
         ]
-        wp.launch(kernels.note_buffers, dim=3, inputs=inputs, outputs=[overflow, ever, most], device="cpu")
+        outputs = [wrench, rows, overflow, ever, most]
+        wp.launch(kernels.measure_step, dim=(3, NUM_JOINTS), inputs=inputs, outputs=outputs, device="cpu")
     assert overflow.numpy().tolist() == ever.numpy().tolist() == [0, 1, 0] and most.numpy().tolist() == [6, 9]
 
 

@@ -52,7 +52,7 @@ def view_of(random_state) -> Callable[..., View]:
         told = Commands(row + 1.0, row + torch.as_tensor(heading), None if speed is None else row + speed)
         rest = torch.zeros(number, 28)
         made = {"ground_height": row, "terrain": None, "motors": humanoid.motors(), "torque": rest}
-        made |= {"target": rest, "target_velocity": rest}
+        made |= {"target": rest, "target_velocity": rest, "torque_unit": humanoid.motors().torque_limit}
         return View(state=state, commands=told, **{**made, **others})
 
     return make

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import fields, replace
+from typing import Literal
 
 import pytest
 import torch
@@ -10,7 +11,7 @@ from aicpg_newton.engines import make_engine
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.methods import METHODS
 from aicpg_newton.env.registry import TASKS, get_task
-from aicpg_newton.env.task import ImitationTask, Task
+from aicpg_newton.env.task import ImitationTask, Reflex, Task
 from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.robot import humanoid, mirror
 from aicpg_newton.robot.humanoid import JOINT_NAMES, NUM_JOINTS, joint_index
@@ -53,15 +54,25 @@ def test_without_a_pd_law_the_joints_get_the_networks_torques_alone(engine: str)
     assert torch.allclose(robots.state.joint_torque[1], limit, atol=0.05)
 
 
-def test_ppo_has_all_of_the_torque_range(make):
-    """An action of 4 is the joint's limit and no action exceeds it; there is no target to hold the joints."""
-    environment = make("ppo")
-    limit = humanoid.motors().torque_limit.expand(4, -1)
-    for action, share in ((2.0, 0.5), (4.0, 1.0), (-9.0, -1.0)):
-        environment.step(torch.full((4, NUM_JOINTS), action))
+@pytest.mark.parametrize("unit", ["gear", "limit"])
+@pytest.mark.parametrize("method", ["ai-cpg", "ppo"])
+def test_actions_are_torques_up_to_the_unit(make, method: str, unit: Literal["gear", "limit"]):
+    """An action of 2.5 is the joint's gear or limit and no action exceeds it; PPO has no target to hold the joints.
+
+    The network sees the torque in that unit, and is charged for it in that unit.
+    """
+    environment = make(method, reflex=Reflex(unit=unit))
+    motors = humanoid.motors()
+    largest = (motors.gear if unit == "gear" else motors.torque_limit).expand(4, -1)
+    assert motors.gear[joint_index("left_knee")] == 100.0 and motors.torque_limit[joint_index("left_knee")] == 200.0
+    names = [block.name for block in environment.blocks]
+    start = sum(block.mirror.size for block in environment.blocks[: names.index("action_torque")])
+    for action, share in ((1.25, 0.5), (2.5, 1.0), (-9.0, -1.0)):
+        seen = environment.step(torch.full((4, NUM_JOINTS), action))[0]["policy"]
         call = environment.engine.calls[-1]
-        assert torch.allclose(call["torque"], share * limit)
-        assert not call["target"].any()
+        assert torch.allclose(call["torque"], share * largest)
+        assert method == "ai-cpg" or not call["target"].any()
+        torch.testing.assert_close(seen[:, start : start + NUM_JOINTS], torch.full((4, NUM_JOINTS), share))
 
 
 def test_ppo_starts_standing_still(make):

@@ -42,14 +42,14 @@ def test_observations_have_the_papers_size(environment: Environment):
     assert environment.get_observations()["policy"].shape == (6, 192)
 
 
-def test_reflex_torque_is_a_share_of_the_limit(environment: Environment):
-    """An action of 1 is 0.25 of each joint's limit, and no action exceeds the limit."""
+def test_reflex_torque_is_a_share_of_the_gear(environment: Environment):
+    """An action of 1 is 0.4 of each joint's gear, and no action exceeds the gear."""
     environment.step(torch.ones(6, 28))
-    limit = humanoid.motors().torque_limit
+    gear = humanoid.motors().gear
     sent = environment.engine.calls[-1]["torque"]  # type: ignore[attr-defined]
-    assert torch.allclose(sent, 0.25 * limit.expand(6, 28))
+    assert torch.allclose(sent, 0.4 * gear.expand(6, 28))
     environment.step(torch.full((6, 28), -100.0))
-    assert torch.allclose(environment.engine.calls[-1]["torque"], -limit.expand(6, 28))  # type: ignore[attr-defined]
+    assert torch.allclose(environment.engine.calls[-1]["torque"], -gear.expand(6, 28))  # type: ignore[attr-defined]
 
 
 def test_targets_follow_the_rhythm_generator(environment: Environment):
@@ -104,12 +104,15 @@ def test_reward_is_the_weighted_sum_of_the_terms(environment: Environment):
     engine.overrides = {"root_linear_velocity": torch.tensor([2.0, 0.5, 0.0]).repeat(6, 1)}  # type: ignore[attr-defined]
     _, reward, _, _ = environment.step(torch.full((6, 28), 0.2))
     state = environment.outcome.state
-    hat = torch.full((28,), 0.05)
-    energy = (hat * 0.1 * state.joint_velocity).abs().sum(1) + (hat**2).sum()
+    terms = environment.task.rewards
+    hat = torch.full((28,), 0.08)
+    energy = (terms["action_energy"].parameters["velocity_scale"] * hat * state.joint_velocity).abs().sum(1)
+    energy += (hat**2).sum()
     assert isinstance(environment.actuation, PatternActuation)
     error = (environment.actuation.target - state.joint_position).abs().sum(1)
     upright = rotations.up_axis(state.root_rotation)[:, 2]
-    expected = 1.5 - 0.5 * energy + 1.0 + upright + 2.0 + 5.0 * (1 - error / 5.0).clamp_min(0) - 0.5 * 0.5
+    tracking = (1 - error / terms["pattern_tracking"].parameters["bound"]).clamp_min(0)
+    expected = 1.5 - 0.5 * energy + 1.0 + upright + 2.0 + 5.0 * tracking - 0.5 * 0.5
     assert torch.allclose(reward, 0.01 * expected, atol=1e-6)
     assert set(environment.outcome.reward_terms) == set(environment.task.rewards) - {"bounce"}  # of weight 0
 

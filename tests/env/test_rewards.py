@@ -1,7 +1,6 @@
 """Reward terms against values worked out by hand."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -12,7 +11,7 @@ from aicpg_newton.env.registry import get_task
 from aicpg_newton.env.rewards import RewardTerm
 from aicpg_newton.env.view import View
 from aicpg_newton.errors import UserError
-from aicpg_newton.robot import humanoid, rotations
+from aicpg_newton.robot import rotations
 
 
 def test_head_height_and_survival(view_of):
@@ -23,14 +22,15 @@ def test_head_height_and_survival(view_of):
 
 
 def test_action_energy(view_of):
-    """Eq. 6 in units of the limit: |0.5 x 0.1 x 4| + 0.25 for one joint, twice that square for both signs."""
+    """Eq. 6 in the unit of torque: |0.5 x 0.1 x 4| + 0.25 for one joint, the square for another that stands still."""
     torque, velocity = torch.zeros(1, 28), torch.zeros(1, 28)
     torque[0, 3], velocity[0, 3] = -25.0, 4.0
     torque[0, 7] = 10.0
-    limit = torch.full((28,), 50.0)
-    limit[7] = 20.0
-    view = view_of(joint_velocity=velocity, torque=torque, motors=replace(humanoid.motors(), torque_limit=limit))
-    assert rewards.action_energy(view).item() == pytest.approx(0.2 + 0.25 + 0.25)
+    unit = torch.full((28,), 50.0)
+    unit[7] = 20.0
+    view = view_of(joint_velocity=velocity, torque=torque, torque_unit=unit)
+    assert rewards.action_energy(view, 0.1).item() == pytest.approx(0.2 + 0.25 + 0.25)
+    assert rewards.action_energy(view, 1.0).item() == pytest.approx(2.0 + 0.25 + 0.25)
 
 
 def test_upright(view_of):

@@ -10,7 +10,7 @@ from aicpg_newton.env.methods import METHODS, get_method
 from aicpg_newton.env.registry import TASKS, get_task, task_from_dict
 from aicpg_newton.env.rewards import RewardTerm
 from aicpg_newton.env.stored import plain, to_dict
-from aicpg_newton.env.task import ImitationTask, SpeedTask
+from aicpg_newton.env.task import ImitationTask, ReflexTask, SpeedTask
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint
 from aicpg_newton.places import ASSETS
@@ -120,6 +120,18 @@ def test_settings_from_before_mean_what_they_meant(was: bool, now: str):
     assert found.critic_hidden_sizes == ()
 
 
+def test_trainings_from_before_gears_keep_their_unit():
+    """Torques in units of the limit, velocities in units of 10 rad/s; a baseline without a reflex has no unit."""
+    content = to_dict(get_task("flat"))
+    del content["reflex"]["unit"], content["rewards"]["action_energy"]["parameters"]
+    task = task_from_dict(content, "file")
+    assert isinstance(task, ReflexTask) and task.reflex.unit == "limit"
+    assert task.rewards["action_energy"].parameters == {"velocity_scale": 0.1}
+    imitation = to_dict(get_task("flat", "amp"))
+    del imitation["rewards"]["action_energy"]["parameters"]
+    assert task_from_dict(imitation, "file").rewards["action_energy"].parameters == {"velocity_scale": 0.1}
+
+
 @pytest.mark.parametrize("path", sorted((ASSETS / "policies").glob("*.pt")), ids=lambda path: path.stem)
 def test_shipped_checkpoints_keep_their_settings(path):
     """Weights, parameters and scale of the reward are where they are today; what the method does not have is gone."""
@@ -136,6 +148,8 @@ def test_shipped_checkpoints_keep_their_settings(path):
         assert task.learning.reward_scale == content["rewards"]["scale"]
         if "pattern_tracking" in task.rewards:
             assert task.rewards["pattern_tracking"].parameters["bound"] == content["rewards"]["pattern_error_bound"]
+    if isinstance(task, ReflexTask):
+        assert task.reflex.unit == content["reflex"].get("unit", "limit")
     if isinstance(task, SpeedTask):
         assert task.target_speed == content["target_speed"]
     if isinstance(task, ImitationTask):

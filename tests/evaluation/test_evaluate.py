@@ -113,7 +113,7 @@ def test_a_checkpoint_may_be_tested_on_another_task(run_folder: Path):
     controller = trained(run_folder, task)
     assert isinstance(controller.task, ReflexTask)
     assert controller.task.name == "hills" and controller.task.termination.maximum_tilt == 50.0
-    assert controller.task.reflex.torque_share == 0.25 and controller.task.learning.hidden_sizes == (16,)
+    assert controller.task.reflex.torque_share == 0.4 and controller.task.learning.hidden_sizes == (16,)
 
 
 def test_the_same_seed_gives_the_same_numbers(tmp_path: Path):

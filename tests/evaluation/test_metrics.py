@@ -30,12 +30,14 @@ def landings(contact: torch.Tensor, period: float) -> list[int]:
     return metrics.touch_downs(contact, torch.tensor([period]))[:, 0, 0].nonzero().squeeze(1).tolist()
 
 
-def test_mechanical_power_adds_joints_and_counts_braking():
-    """3 N m at -2 rad/s and -4 N m at -1 rad/s are 6 + 4 W."""
-    torque, velocity = torch.zeros(2, 28), torch.zeros(2, 28)
-    torque[0, 5], velocity[0, 5] = 3.0, -2.0
-    torque[0, 7], velocity[0, 7] = -4.0, -1.0
-    assert metrics.mechanical_power(torque, velocity).tolist() == [10.0, 0.0]
+def share(contact: torch.Tensor) -> torch.Tensor:
+    """Contacts as shares of steps: each step is wholly on or off the ground."""
+    return contact.float()
+
+
+def flight(contact: torch.Tensor) -> torch.Tensor:
+    """Share of each step in flight, in the same way."""
+    return (~contact.any(dim=2)).float()
 
 
 def test_cost_of_transport():
@@ -188,23 +190,37 @@ def test_strides_by_hand():
         ".......##" + ("#" * 10 + "." * 8 + "##") * 3,
         "#" * 7 + "..........##" + ("#" * 10 + "." * 8 + "##") * 2 + "#" * 10,
     )
-    assert metrics.duty_factor(both, everything(69), period).item() == pytest.approx(0.6)
-    assert metrics.flight_ratio(both, everything(69), period).item() == 0.0
+    assert metrics.duty_factor(share(both), both, everything(69), period).item() == pytest.approx(0.6)
+    assert metrics.flight_ratio(flight(both), both, everything(69), period).item() == 0.0
     right = "." * 7 + ("#" * 8 + "." * 12) * 3 + "####"
     left = "." * 7 + ("." * 10 + "#" * 8 + "..") * 3 + "...."
     run = steps(right, left)
-    assert metrics.flight_ratio(run, everything(71), period).item() == pytest.approx(4 / 20)
-    assert metrics.flight_share_of_strides(run, everything(71), period).item() == 1.0
-    assert metrics.duty_factor(run, everything(71), period).item() == pytest.approx(0.4)
+    assert metrics.flight_ratio(flight(run), run, everything(71), period).item() == pytest.approx(4 / 20)
+    assert metrics.flight_share_of_strides(flight(run), run, everything(71), period).item() == 1.0
+    assert metrics.duty_factor(share(run), run, everything(71), period).item() == pytest.approx(0.4)
+
+
+def test_parts_of_steps_count():
+    """A foot that lands in the middle of a step: flight and stance by the share, strides as before."""
+    right = "." * 7 + ("#" * 8 + "." * 12) * 3 + "####"
+    left = "." * 7 + ("." * 10 + "#" * 8 + "..") * 3 + "...."
+    run, period, valid = steps(right, left), torch.tensor([20.0]), everything(71)
+    flying, support = flight(run), share(run)
+    for landing in range(7, 60, 20):  # of the right foot: half of the step before it, too
+        flying[landing - 1], support[landing - 1, 0, 0] = 0.5, 0.5
+    assert metrics.flight_ratio(flying, run, valid, period).item() == pytest.approx(3.5 / 20)
+    assert metrics.duty_factor(support, run, valid, period).item() == pytest.approx((8.5 + 8) / 2 / 20)
+    assert metrics.flight_share_of_strides(flying, run, valid, period).item() == 1.0
+    assert metrics.flight_share_of_strides(0.5 * flying, run, valid, period).item() == 0.0
 
 
 def test_flight_needs_both_feet_and_its_own_strides():
     """Hopping on the right foot alone: flight while it is up; the left foot's track makes no cycle."""
     hop = steps("." * 7 + ("#" * 10 + "." * 10) * 3 + "###", "." * 70)
     period = torch.tensor([20.0])
-    assert metrics.flight_ratio(hop, everything(70), period).item() == pytest.approx(0.5)
-    assert torch.isnan(metrics.flight_ratio(hop.flip(2), everything(70), period)).all()
-    assert torch.isnan(metrics.duty_factor(hop, everything(70), period)).all()
+    assert metrics.flight_ratio(flight(hop), hop, everything(70), period).item() == pytest.approx(0.5)
+    assert torch.isnan(metrics.flight_ratio(flight(hop), hop.flip(2), everything(70), period)).all()
+    assert torch.isnan(metrics.duty_factor(share(hop), hop, everything(70), period)).all()
 
 
 def test_moving_mean_is_centred_and_needs_a_full_window():
@@ -283,9 +299,15 @@ PERIOD = torch.full((7,), 38.0)
 
 MEASURES = {
     "stride_period": lambda _, angles, valid: metrics.stride_period(angles, valid),
-    "duty_factor": lambda contact, _, valid: metrics.duty_factor(contact, valid, PERIOD[: valid.shape[1]]),
-    "flight_ratio": lambda contact, _, valid: metrics.flight_ratio(contact, valid, PERIOD[: valid.shape[1]]),
-    "flight_share": lambda contact, _, valid: metrics.flight_share_of_strides(contact, valid, PERIOD[: valid.shape[1]]),
+    "duty_factor": lambda contact, _, valid: metrics.duty_factor(
+        share(contact), contact, valid, PERIOD[: valid.shape[1]]
+    ),
+    "flight_ratio": lambda contact, _, valid: metrics.flight_ratio(
+        flight(contact), contact, valid, PERIOD[: valid.shape[1]]
+    ),
+    "flight_share": lambda contact, _, valid: metrics.flight_share_of_strides(
+        flight(contact), contact, valid, PERIOD[: valid.shape[1]]
+    ),
     "symmetry": lambda _, angles, valid: metrics.symmetry_index(angles, valid, torch.full((valid.shape[1],), 7.3)),
     "mean": lambda _, angles, valid: metrics.masked_mean(angles[..., 0], valid),
 }
@@ -323,12 +345,12 @@ def test_imitated_gaits_played_back(pattern: PatternNetwork, index: int):
     valid = everything(600, 2)
     measured = {"35_08": 0.903, "35_17": 1.327}[gait.source]
     period = metrics.stride_period(torch.stack([frame.joint_position for frame in frames]), valid)
-    flight, duty = metrics.flight_ratio(contact, valid, period), metrics.duty_factor(contact, valid, period)
-    print(gait.source, 60 / period, flight, duty)
+    flying = metrics.flight_ratio(flight(contact), contact, valid, period)
+    duty = metrics.duty_factor(share(contact), contact, valid, period)
     assert (60 / period).tolist() == pytest.approx([measured] * 2, rel=0.003)
     if gait.name == "walk":
-        assert flight.tolist() == [0.0, 0.0]
+        assert flying.tolist() == [0.0, 0.0]
         assert (duty > 0.5).all() and (duty < 0.75).all()
     else:
-        assert (metrics.flight_share_of_strides(contact, valid, period) == 1.0).all()
-        assert (flight > 0.1).all() and (duty < 0.5).all()
+        assert (metrics.flight_share_of_strides(flight(contact), contact, valid, period) == 1.0).all()
+        assert (flying > 0.1).all() and (duty < 0.5).all()

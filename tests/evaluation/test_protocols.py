@@ -130,6 +130,25 @@ def test_falls_end_what_is_measured_and_are_counted(glider, pattern):
     assert row["speed_mps"] == pytest.approx(1.25, rel=1e-3)
 
 
+def test_turning_away_is_not_a_fall(glider, pattern):
+    """One of two robots turns away after 3 s: it has not fallen, and what comes after does not count either."""
+    engine = glider(2)
+    engine.turn_at = {1: 180}
+    trajectories = run(replace(SWEEP, duration=6.0, frequencies=(1.0,)), engine, pattern)
+    assert trajectories.turned.nonzero().tolist() == [[180, 1]] and not trajectories.fallen.any()
+    assert torch.equal(trajectories.ended, trajectories.turned) and torch.equal(
+        trajectories.failed, trajectories.turned
+    )
+    assert trajectories.settled.sum(dim=0).tolist() == [300, 120]
+    row = summaries.sweep_rows(trajectories, torch.tensor([1.0]), SOURCE)[0][0]
+    assert (row["survived"], row["falls_per_minute"], row["turned_away"]) == (1.0, 0.0, 0.5)
+    assert row["turned_away_per_minute"] == pytest.approx(5.0)
+    rows, summary = transition_summaries.transition_rows(trajectories, torch.tensor([1.0]), SOURCE)
+    assert rows[-1]["standing"] == 0.5
+    assert (summary["environments_that_never_fell"], summary["environments_that_never_turned_away"]) == (2, 1)
+    assert summary["environments_that_got_through"] == 1
+
+
 def test_the_edge_of_the_terrain_ends_an_episode_without_a_fall(glider, pattern):
     """The faster of two robots comes to the edge: it starts again, and only its way before counts."""
     terrain = Terrain.make(Ground(height_range=0.1, length=24.0, width=16.0))
@@ -199,7 +218,7 @@ def test_a_disturbance_pushes_in_a_tenth_of_every_second(glider, pattern):
     assert ((force != 0).any(dim=2).sum(dim=0) - 60).abs().max() <= 6
     assert 150.0 < force.abs().max() <= 200.0 and (force.abs().amax(dim=(0, 1)) > 100.0).all()
     rows, _ = summaries.disturbance_rows(trajectories, torch.tensor([0.8, 1.2]), SOURCE)
-    assert [row["falls_per_minute"] for row in rows] == pytest.approx([9.0, 0.0])
+    assert [row["falls_per_minute"] for row in rows] == pytest.approx([6.0, 0.0])
     assert [row["turned_away_per_minute"] for row in rows] == pytest.approx([3.0, 0.0])
     assert rows[1]["speed_mps"] == pytest.approx(2.25, rel=1e-3) and rows[0]["iteration"] == 100
 
