@@ -30,6 +30,9 @@ MAXIMUM_LAYERS = 16
 LAYER = Range(1, 8192)
 """Units that a hidden layer may have: larger ones come from broken or hostile files, and fill the memory."""
 
+TEST_SUBSTEPS = 4
+"""Fewest physics steps per control step in tests and play: 240 Hz. Training takes half, as the paper's simulator."""
+
 Schedule = Literal["iteration", "minibatch", "fixed"]
 """When the learning rate is adapted to the KL divergence."""
 
@@ -276,7 +279,7 @@ class Task:
     resets: Resets = field(default_factory=Resets)
     termination: Termination = field(default_factory=Termination)
     pushes: Pushes = field(default_factory=Pushes)
-    physics: Physics = field(default_factory=Physics)
+    physics: Physics = field(default_factory=lambda: Physics(substeps=2))
     learning: Learning = field(default_factory=Learning)
 
     def commands(self, num_envs: int, device: torch.device | str) -> Commands:
@@ -294,8 +297,13 @@ class Task:
         return humanoid.motors()
 
     def undisturbed(self) -> Self:
-        """The same task where nobody pushes and f stays as it is told: for tests and play."""
-        return replace(self, pushes=Pushes(), frequencies=replace(self.frequencies, change_interval=0.0))
+        """The same task for tests and play: no pushes, f stays as commanded, physics at 240 Hz or more."""
+        return replace(
+            self,
+            pushes=Pushes(),
+            frequencies=replace(self.frequencies, change_interval=0.0),
+            physics=replace(self.physics, substeps=max(self.physics.substeps, TEST_SUBSTEPS)),
+        )
 
     def validate(self) -> None:
         """Refuse settings that cannot be run.

@@ -16,9 +16,6 @@ FREQUENCIES = tuple(round(0.70 + 0.05 * i, 2) for i in range(15))
 GAITS = {"walking": 0.9, "running": 1.3}
 """Stride frequencies that stand for walking and for running, near those of the imitated clips [Hz]."""
 
-PHYSICS_RATE = 240
-"""Physics steps a second in tests [Hz], whatever a network was trained at; power is integrated over them."""
-
 TERRAIN_SEEDS = (1001, 1002, 1003, 1004, 1005)
 """Seeds of the terrain for tests; training never uses them unless it is told to."""
 

@@ -79,11 +79,18 @@ def read_table(folder: Path, name: str) -> list[Row]:
     """Rows of a protocol's CSV file, numbers as floats and empty cells as NaN; so are further columns that are missing.
 
     Raises:
-        UserError: The file is missing, has other columns, or a cell that is no number.
+        UserError: The file is missing, has other columns, a cell that is no number, or measures of version 0.1.
     """
     path = folder / f"{name}.csv"
     if not path.is_file():
         raise UserError(f"there is no {path}; run the {name} protocol first")
+    if path.with_suffix(".json").exists():
+        definitions = read_description(folder, name).get("definitions")
+        if isinstance(definitions, dict) and "power" not in definitions:
+            raise UserError(
+                f"{path} was written by version 0.1, which sampled power once a control step and counted turning away"
+                " as a fall; evaluate again into another folder"
+            )
     try:
         reader = csv.DictReader(io.StringIO(read_text(path), newline=""), strict=True)
         columns, further = PROTOCOLS[name].columns, PROTOCOLS[name].further_columns

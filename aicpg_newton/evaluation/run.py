@@ -16,14 +16,13 @@ import torch
 
 import aicpg_newton
 from aicpg_newton.device import resolve_device
-from aicpg_newton.engines import Engine, Physics
+from aicpg_newton.engines import Engine
 from aicpg_newton.env.task import Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import metrics, results, summaries, terrain_summaries, transition_summaries
 from aicpg_newton.evaluation.controllers import Controller, ground_of
 from aicpg_newton.evaluation.protocols import (
     DISTURBANCE,
-    PHYSICS_RATE,
     PROTOCOLS,
     SLOWING,
     SPEED,
@@ -61,7 +60,7 @@ class Laboratory:
         seed: Seed of start states and pushes.
         show: Whether to draw a progress bar on stderr.
         terrain_seeds: Seeds of the ground; on a plane they change nothing.
-        physics_rate: Physics steps a second [Hz]; None for :data:`PHYSICS_RATE`, or the task's own if that is more.
+        physics_rate: Physics steps a second [Hz]; None for 240, or the training's own if that is more.
     """
 
     num_envs: int | None = None
@@ -80,13 +79,6 @@ class Laboratory:
     def environments(self, groups: int) -> int:
         """Number of environments for so many groups."""
         return self.num_envs or environments_for(groups)
-
-    def physics_of(self, task: Task) -> Physics:
-        """The task's physics at the rate of the test."""
-        substeps = max(task.physics.substeps, PHYSICS_RATE // round(CONTROL_RATE))
-        if self.physics_rate is not None:
-            substeps = self.physics_rate // round(CONTROL_RATE)
-        return replace(task.physics, substeps=substeps)
 
     def engine_of(self, task: Task, number: int) -> Engine:
         """The engine with the task's physics, ground and motors, for so many environments."""
@@ -120,7 +112,8 @@ class Laboratory:
 
         task = on_terrain(controller.task.undisturbed(), terrain_seed)
         task.pushes = protocol.pushes()
-        task.physics = self.physics_of(task)
+        if self.physics_rate is not None:
+            task.physics = replace(task.physics, substeps=self.physics_rate // round(CONTROL_RATE))
         task.termination.episode_steps = protocol.steps + 1
         engine = self.engine_of(task, self.environments(len(frequencies)))
         environment = Environment(task, engine, controller.pattern, seed=self.seed)

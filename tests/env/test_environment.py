@@ -389,6 +389,7 @@ def test_a_restart_forgets_where_frequencies_were_going(puppet, pattern: Pattern
 def test_undisturbed_frequencies_stay(puppet, pattern: PatternNetwork):
     """For tests and play: nobody pushes and f is what it is told."""
     task = get_task("robust").undisturbed()
+    assert get_task("robust").physics.substeps == 2 and task.physics.substeps == 4
     task.ground = Ground()
     task.validate()
     environment = Environment(task, puppet(4), pattern)

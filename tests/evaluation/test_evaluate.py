@@ -116,6 +116,17 @@ def test_a_checkpoint_may_be_tested_on_another_task(run_folder: Path):
     assert controller.task.reflex.torque_share == 0.4 and controller.task.learning.hidden_sizes == (16,)
 
 
+@pytest.mark.parametrize(("rate", "found"), [(None, 240), (120, 120), (480, 480)])
+def test_the_rate_of_the_physics(rate: int | None, found: int, tmp_path: Path):
+    """240 Hz, or what is asked for; a network trained at more is tested at more."""
+    laboratory = Laboratory(6, device="cpu", physics_rate=rate)
+    evaluate([short("sweep")], [cpg_alone(get_task("flat"), 0)], laboratory, tmp_path / "out")  # type: ignore[list-item]
+    assert results.read_description(tmp_path / "out", "sweep")["physics_rate_hz"] == [found]
+    task = get_task("flat")
+    task.physics.substeps = 16
+    assert task.undisturbed().physics.substeps == 16
+
+
 def test_the_same_seed_gives_the_same_numbers(tmp_path: Path):
     """Two evaluations with one seed agree to the last digit, another seed does not."""
     texts = []
@@ -133,6 +144,8 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path: Path):
         ({"task": "moon", "agent": "zero"}, "unknown task 'moon'"),
         ({"agent": "zero", "num_envs": 14}, "--num-envs is 14, but the sweep protocol has 15"),
         ({"agent": "zero", "num_envs": 0}, "--num-envs is 0"),
+        ({"agent": "zero", "physics_rate": 60}, "--physics-rate is 60"),
+        ({"agent": "zero", "physics_rate": 250}, "--physics-rate is 250; give a multiple of 120"),
         ({"agent": "zero", "engine": "bullet"}, "bullet"),
         ({"agent": "zero", "checkpoint": (Path("model_1.pt"),)}, "leave --checkpoint out"),
         ({"redraw": (Path("nowhere"),), "device": "auto"}, "no results in nowhere"),

@@ -42,6 +42,18 @@ def test_what_is_written_is_read(tmp_path: Path):
     assert math.isnan(second["froude"]) and second["reason"] == "no motion; no way"
 
 
+def test_measures_of_version_0_1_are_refused(tmp_path: Path):
+    """Its cost of transport and falls mean something else; what was withdrawn says so in its definitions."""
+    results.prepare(tmp_path, ["sweep"], [])
+    for definitions, refused in (({"falls": "pelvis low"}, True), ({"power": "withdrawn"}, False)):
+        results.write(tmp_path, "sweep", [row()], {"controllers": [], "results": [], "definitions": definitions})
+        if refused:
+            with pytest.raises(UserError, match=r"version 0\.1"):
+                results.read_table(tmp_path, "sweep")
+        else:
+            assert len(results.read_table(tmp_path, "sweep")) == 1
+
+
 def test_further_columns_may_be_missing(tmp_path: Path):
     """They are read where they are there: earlier versions had some of them or none. Other columns are refused."""
     write(tmp_path, [row(environments=32, speed_mps_ci95=0.02, survived_low=0.89, turned_away_per_minute=0.5)])
