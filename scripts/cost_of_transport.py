@@ -1,7 +1,8 @@
 """Where the energy goes: python scripts/cost_of_transport.py CHECKPOINT. The table of docs/robust.md comes from here.
 
-Splits the cost of transport (Eq. 12) into work that motors do and work that they take up, and puts beside it, in the
-same unit, what the passive damping of the joints eats: motors have to supply it, Eq. 12 does not name it.
+Splits the cost of transport (Eq. 12), integrated over the physics steps, into work that motors do and work that they
+take up, and puts beside it, in the same unit, what the passive damping of the joints eats (at the joint velocities at
+the end of each control step): motors have to supply it, Eq. 12 does not name it.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ def main() -> None:
         if step < WARM_UP:
             continue
         state = environment.outcome.state
-        power = state.joint_torque * state.joint_velocity
-        driving += power.clamp_min(0.0)
-        braking -= power.clamp_max(0.0)
+        measures = engine.measures()
+        driving += measures.driving_power
+        braking += measures.braking_power
         damped += damping * state.joint_velocity.square()
         speed += state.root_linear_velocity[:, 0]
     print(f"{'f [Hz]':>7}{'v [m/s]':>9}{'CoT':>7}{'drive':>7}{'brake':>7}{'damping':>9}", end="")
