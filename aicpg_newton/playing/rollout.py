@@ -62,37 +62,44 @@ class Tally:
     distance: torch.Tensor = field(init=False)
     """Way made along x [m]."""
     falls: torch.Tensor = field(init=False)
-    """Falls, leaving the course included."""
+    """Falls."""
+    turned_away: torch.Tensor = field(init=False)
+    """Episodes that ended as the robot had turned away from its target direction, without a fall."""
 
     def __post_init__(self) -> None:
         self.distance = torch.zeros_like(self.frequency)
         self.falls = torch.zeros_like(self.frequency, dtype=torch.long)
+        self.turned_away = torch.zeros_like(self.falls)
 
-    def add(self, forward_velocity: torch.Tensor, ended: torch.Tensor) -> None:
+    def add(self, forward_velocity: torch.Tensor, fallen: torch.Tensor, turned: torch.Tensor) -> None:
         """Count one control step.
 
         Args:
             forward_velocity: Velocity along x [m/s], shape [num_envs].
-            ended: Environments that fell or left the course, shape [num_envs].
+            fallen: Environments that fell, shape [num_envs].
+            turned: Environments that turned away, shape [num_envs].
         """
         self.steps += 1
         self.distance += torch.nan_to_num(forward_velocity) * CONTROL_DT
-        self.falls += ended
+        self.falls += fallen
+        self.turned_away += turned
 
     def speed(self, env: int) -> float:
         """Mean speed of a robot so far [m/s]."""
         return float(self.distance[env]) / (max(self.steps, 1) * CONTROL_DT)
 
     def table(self) -> str:
-        """Mean speed, falls and episode length, a line per frequency."""
+        """Mean speed, falls, turnings away and episode length, a line per frequency."""
         duration = max(self.steps, 1) * CONTROL_DT
-        lines = [f"{'f [Hz]':>8}{'environments':>14}{'speed [m/s]':>13}{'falls':>8}{'episode [s]':>13}"]
+        head = f"{'f [Hz]':>8}{'environments':>14}{'speed [m/s]':>13}{'falls':>8}{'turned away':>13}{'episode [s]':>13}"
+        lines = [head]
         for frequency in self.frequency.unique().tolist():
             mine = self.frequency == frequency
-            count, falls = int(mine.sum()), int(self.falls[mine].sum())
+            count, falls, turned = int(mine.sum()), int(self.falls[mine].sum()), int(self.turned_away[mine].sum())
+            episode = duration * count / (count + falls + turned)
             speed = float(self.distance[mine].mean()) / duration
             name = f"{frequency:.2f}" if self.follows_frequency else "-"
-            lines.append(f"{name:>8}{count:14d}{speed:13.2f}{falls:8d}{duration * count / (count + falls):13.1f}")
+            lines.append(f"{name:>8}{count:14d}{speed:13.2f}{falls:8d}{turned:13d}{episode:13.1f}")
         return "\n".join(lines)
 
 
@@ -112,7 +119,7 @@ def physical_frames(environment: Environment, agent: Agent, steps: int, tally: T
         for _ in range(steps):
             observed, _, dones, _ = environment.step(agent(observed["policy"]))
             outcome = environment.outcome
-            tally.add(outcome.state.root_linear_velocity[:, 0], outcome.fallen | outcome.off_course)
+            tally.add(outcome.state.root_linear_velocity[:, 0], outcome.fallen, outcome.off_course)
             yield Frame(
                 root_position=outcome.state.root_position,
                 root_rotation=outcome.state.root_rotation,
@@ -140,5 +147,5 @@ def kinematic_frames(pattern: PatternNetwork, frequency: torch.Tensor, steps: in
         phase = advance_phase(phase, frequency)
         pose = gait_pose(pattern, phase, frequency)
         pose.root_position[:, 0] += speed * step * CONTROL_DT
-        tally.add(speed, never)
+        tally.add(speed, never, never)
         yield Frame(pose.root_position, pose.root_rotation, pose.joint_position, phase, frequency, never.long())

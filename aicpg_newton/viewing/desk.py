@@ -76,7 +76,7 @@ class Readings:
     contact: list[tuple[bool, bool]]
     """Whether the right and the left foot are on the ground."""
     falls: list[int]
-    """Falls so far, leaving the course included."""
+    """Falls so far, turnings away not counted."""
     pushed: tuple[float, Push] | None = None
     """The last push and when it began [s]; None before the first."""
 

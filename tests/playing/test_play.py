@@ -54,20 +54,21 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[Task]:
 
 
 def test_tally_counts_way_falls_and_episodes():
-    """Two environments at 1 Hz and one at 1.2 Hz over 2 s; the first falls once."""
+    """Two environments at 1 Hz and one at 1.2 Hz over 2 s; the first falls once, the last turns away once."""
     tally = Tally(torch.tensor([1.0, 1.0, 1.2]))
     for step in range(120):
-        tally.add(torch.tensor([1.0, 2.0, 3.0]), torch.tensor([step == 60, False, False]))
+        fallen, turned = torch.tensor([step == 60, False, False]), torch.tensor([False, False, step == 70])
+        tally.add(torch.tensor([1.0, 2.0, 3.0]), fallen, turned)
     assert tally.distance.tolist() == pytest.approx([2.0, 4.0, 6.0], rel=1e-4)
     lines = tally.table().splitlines()
-    assert lines[1].split() == ["1.00", "2", "1.50", "1", "1.3"]
-    assert lines[2].split() == ["1.20", "1", "3.00", "0", "2.0"]
+    assert lines[1].split() == ["1.00", "2", "1.50", "1", "0", "1.3"]
+    assert lines[2].split() == ["1.20", "1", "3.00", "0", "1", "1.0"]
 
 
 def test_table_of_a_network_without_frequency():
     """It has one line, aligned like the others, that names no frequency."""
     tally = Tally(torch.ones(3), follows_frequency=False)
-    tally.add(torch.ones(3), torch.tensor([False, False, True]))
+    tally.add(torch.ones(3), torch.tensor([False, False, True]), torch.zeros(3, dtype=torch.bool))
     head, line = tally.table().splitlines()
     assert line.split()[:2] == ["-", "3"]
     assert len(line) == len(head)
