@@ -143,7 +143,8 @@ def brought_up_to_date(content: dict[str, Any]) -> dict[str, Any]:
     if isinstance(energy, dict) and not energy.get("parameters"):
         content["rewards"] = {**content["rewards"], "action_energy": {**energy, "parameters": {"velocity_scale": 0.1}}}
     if isinstance(content.get("learning"), dict):
-        content["learning"] = {**_BEFORE, **learning}
+        constant = {"final_kl": learning["desired_kl"]} if "desired_kl" in learning else {}
+        content["learning"] = {**_BEFORE, **constant, **learning}
     return content
 
 

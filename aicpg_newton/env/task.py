@@ -163,7 +163,13 @@ class Learning:
     maximum_learning_rate: Annotated[float, POSITIVE] = 1e-3
     """Greatest learning rate."""
     desired_kl: Annotated[float, POSITIVE] = 0.03
-    """KL divergence the learning rate is adapted to: of a whole update, or of what is done of it at a minibatch."""
+    """KL divergence the learning rate is adapted to at first: of a whole update, or of what is done of it at a
+    minibatch."""
+    final_kl: Annotated[float, POSITIVE] = 0.01
+    """The same from iteration ``kl_decay`` on. Exploration shrinks as energy is saved; steps that were right for a loud
+    policy then make robots at the edge of their range fall again (docs/reward.md)."""
+    kl_decay: Annotated[int, AT_LEAST_ONE] = 1000
+    """Iterations over which the desired divergence goes from the one to the other, on a straight line."""
     discount: Annotated[float, SHARE] = 0.99
     """Discount factor gamma."""
     gae_lambda: Annotated[float, SHARE] = 0.95
@@ -342,7 +348,8 @@ class Task:
         mirrored = "an equivariant network is symmetric by itself"
         unless(learning.network == "mlp", mirrored, "learning.symmetry")
         fixed = "the learning rate stays, as learning.learning_rate_schedule is fixed"
-        unless(learning.learning_rate_schedule != "fixed", fixed, "learning.desired_kl")
+        divergences = ("learning.desired_kl", "learning.final_kl", "learning.kl_decay")
+        unless(learning.learning_rate_schedule != "fixed", fixed, *divergences)
         return found
 
     def refuse_idle_changes(self, default: Task) -> None:

@@ -106,6 +106,9 @@ class BoundedPPO(PPO):
         storage: Rollouts.
         schedule: ``iteration`` as said; ``minibatch`` as rsl_rl does it, but bounded; ``fixed``.
         learning_rate_bounds: Least and greatest learning rate.
+        desired_kl: KL divergence the rate is adapted to in the first iteration.
+        final_kl: The same from iteration ``kl_decay`` on; on a straight line between them.
+        kl_decay: Number of iterations.
         symmetry_cfg: Settings of :class:`MirrorImages`, or None.
         **ppo: Settings of :class:`rsl_rl.algorithms.PPO`.
     """
@@ -118,15 +121,20 @@ class BoundedPPO(PPO):
         *,
         schedule: Schedule,
         learning_rate_bounds: tuple[float, float],
+        desired_kl: float,
+        final_kl: float,
+        kl_decay: int,
         symmetry_cfg: dict[str, Any] | None = None,
         **ppo: Any,
     ) -> None:
         self._bounds = learning_rate_bounds
         self._once = schedule == "iteration"
-        super().__init__(actor, critic, storage, schedule="adaptive" if schedule == "minibatch" else "fixed", **ppo)
+        self._kl_bounds, self._kl_decay = (desired_kl, final_kl), kl_decay
+        adaptive = "adaptive" if schedule == "minibatch" else "fixed"
+        super().__init__(actor, critic, storage, schedule=adaptive, desired_kl=desired_kl, **ppo)
         if symmetry_cfg is not None:
             self.symmetry = MirrorImages(**symmetry_cfg)
-        self._runaway = Runaway(None if schedule == "fixed" else self.desired_kl)
+        self._runaway = Runaway(None if schedule == "fixed" else desired_kl)
 
     @property
     def learning_rate(self) -> float:
@@ -139,6 +147,11 @@ class BoundedPPO(PPO):
         self._learning_rate = min(max(rate, low), high)
         for group in self.optimizer.param_groups:
             group["lr"] = self._learning_rate
+
+    def begin_iteration(self, number: int) -> None:
+        """Set the desired KL divergence of an iteration, counted from 0 over the whole run."""
+        first, final = self._kl_bounds
+        self.desired_kl = first + min(number / self._kl_decay, 1.0) * (final - first)
 
     def compute_returns(self, obs: TensorDict) -> None:
         """Returns and advantages of the collected steps; the latter are standardised over all processes."""

@@ -88,6 +88,7 @@ class Runner(OnPolicyRunner):
         """Every how many demonstrations are filmed; 0 for none."""
         self._dumped = 0
         self._stops = False
+        self._iteration = 0
         self.alg.update = torch_threads(torch.get_num_threads())(self._checked(self.alg.update))
 
     def _configure_multi_gpu(self) -> None:
@@ -134,6 +135,8 @@ class Runner(OnPolicyRunner):
             if reason:
                 raise _REASONS[reason]
             self.env.check()
+            self.alg.begin_iteration(self._iteration)
+            self._iteration += 1
             if self.logger.writer is not None:  # nobody else empties this list
                 self.logger.ep_extras.append({"Learning/rate": torch.tensor(self.alg.learning_rate)})
             losses = update()
@@ -208,6 +211,7 @@ class Runner(OnPolicyRunner):
             KeyboardInterrupt: See :meth:`stop_together` and :meth:`stop_soon`.
             UserError: The disk takes no log or no checkpoint.
         """
+        self._iteration = self.current_learning_iteration
         try:
             with _threads_that_fail_quietly():
                 super().learn(num_learning_iterations, init_at_random_ep_len)

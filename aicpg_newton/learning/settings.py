@@ -118,6 +118,8 @@ def runner_settings(task: Task, mirror: Mirror, seed: int, logger: str = "tensor
             "schedule": learning.learning_rate_schedule,
             "learning_rate_bounds": (learning.minimum_learning_rate, learning.maximum_learning_rate),
             "desired_kl": learning.desired_kl,
+            "final_kl": learning.final_kl,
+            "kl_decay": learning.kl_decay,
             "symmetry_cfg": symmetry if learning.symmetry and not equivariant else None,
             **method.algorithm_settings(task),
         },

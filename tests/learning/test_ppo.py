@@ -47,6 +47,21 @@ def test_the_rate_follows_the_divergence_of_a_whole_update(
     assert ppo.optimizer.param_groups[0]["lr"] == ppo.learning_rate
 
 
+def test_the_desired_divergence_goes_down(puppet, pattern: PatternNetwork, monkeypatch: pytest.MonkeyPatch):
+    """From the first value to the last on a straight line over iterations, and stays; a resumed run goes on there."""
+    settings = {"desired_kl": 0.03, "final_kl": 0.01, "kl_decay": 4}
+    runner, ppo = algorithm(puppet, pattern, **settings)
+    seen: list[float] = []
+    monkeypatch.setattr(ppo, "_divergence", lambda: seen.append(ppo.desired_kl) or 0.02)
+    runner.learn(6)
+    assert seen == pytest.approx([0.03, 0.025, 0.02, 0.015, 0.01, 0.01])
+    runner, ppo = algorithm(puppet, pattern, **settings)
+    runner.current_learning_iteration = 3
+    monkeypatch.setattr(ppo, "_divergence", lambda: seen.append(ppo.desired_kl) or 0.02)
+    runner.learn(2)
+    assert seen[6:] == pytest.approx([0.015, 0.01])
+
+
 @pytest.mark.parametrize("schedule", ["iteration", "minibatch"])
 @pytest.mark.parametrize(("kl", "bound"), [(1e-9, 3e-4), (1e9, 1e-4)])
 def test_the_rate_stays_within_its_bounds(
