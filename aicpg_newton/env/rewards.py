@@ -93,12 +93,6 @@ def target_velocity(view: View) -> torch.Tensor:
     return (view.state.root_linear_velocity[:, :2] * view.direction).sum(dim=1)
 
 
-def sideways_speed(view: View) -> torch.Tensor:
-    """Speed across the target direction [m/s]; not in the paper, keeps the path straight."""
-    x, y = view.state.root_linear_velocity[:, :2].unbind(dim=1)
-    return torch.abs(view.direction[:, 0] * y - view.direction[:, 1] * x)
-
-
 def pattern_tracking(view: View, bound: float, reading: PatternError) -> torch.Tensor:
     """R_g = 1 - e/b for e <= b, else 0 (Eq. 8), with the error e of Eq. 7 [rad].
 
@@ -140,7 +134,6 @@ def common_terms() -> dict[str, RewardTerm]:
         "survival": RewardTerm(survival, 1.0),
         "upright": RewardTerm(upright, 1.0),
         "target_velocity": RewardTerm(target_velocity, 1.0),
-        "sideways_speed": RewardTerm(sideways_speed, -0.5),
     }
 
 

@@ -112,7 +112,7 @@ def brought_up_to_date(content: dict[str, Any]) -> dict[str, Any]:
     """Content as an earlier version of this package wrote it, in today's words.
 
     Settings that were not settings once take what was done then; a reward term has its weight and parameters
-    beside it; settings of other methods, which every task used to have, are left out.
+    beside it; settings of other methods, which every task used to have, and terms that are gone are left out.
     """
     content = dict(content)
     learning = dict(content.get("learning") or {})
@@ -142,6 +142,8 @@ def brought_up_to_date(content: dict[str, Any]) -> dict[str, Any]:
         content["reflex"] = {"unit": "limit", **reflex}
     if isinstance(energy, dict) and not energy.get("parameters"):
         content["rewards"] = {**content["rewards"], "action_energy": {**energy, "parameters": {"velocity_scale": 0.1}}}
+    if isinstance(content.get("rewards"), dict):
+        content["rewards"] = {name: term for name, term in content["rewards"].items() if name not in _DROPPED}
     if isinstance(content.get("learning"), dict):
         constant = {"final_kl": learning["desired_kl"]} if "desired_kl" in learning else {}
         content["learning"] = {**_BEFORE, **constant, **learning}
@@ -156,6 +158,9 @@ _BEFORE = {
     "maximum_learning_rate": 1e-2,
 }
 """Learning settings that were not settings once, with what was done then."""
+
+_DROPPED = ("sideways_speed",)
+"""Reward terms that no task has any more: a training that had one can be played, and resumes without it."""
 
 _RENAMED = {"reflex_energy": "action_energy"}
 _TERM_OF = {"pattern_tracking": "ai-cpg", "target_speed": "ppo"}

@@ -33,6 +33,9 @@ LAYER = Range(1, 8192)
 TEST_SUBSTEPS = 4
 """Fewest physics steps per control step in tests and play: 240 Hz. Training takes half, as the paper's simulator."""
 
+TEST_HEADING = 57.0
+"""In tests and play a robot that faces away from the target by more than this angle [deg] has turned away."""
+
 Schedule = Literal["iteration", "minibatch", "fixed"]
 """When the learning rate is adapted to the KL divergence."""
 
@@ -99,8 +102,9 @@ class Termination:
     """A pelvis below this height above the ground [m] is a fall."""
     maximum_tilt: Annotated[float, Range(0.0, 180.0, positive=True)] = 60.0
     """A pelvis tilted by more than this angle from the vertical [deg] is a fall."""
-    maximum_heading: Annotated[float, Range(0.0, 180.0, positive=True)] = 57.0
-    """Facing away from the target by more than this angle [deg] ends the episode like a fall; 180 never does."""
+    maximum_heading: Annotated[float, Range(0.0, 180.0, positive=True)] = 180.0
+    """Facing away from the target by more than this angle [deg] ends the episode like a fall; 180 never does (the
+    paper). In tests and play it is at most 57."""
     episode_steps: Annotated[int, AT_LEAST_ONE] = 1000
     """Control steps until the time is out."""
 
@@ -303,12 +307,13 @@ class Task:
         return humanoid.motors()
 
     def undisturbed(self) -> Self:
-        """The same task for tests and play: no pushes, f stays as commanded, physics at 240 Hz or more."""
+        """The same task for tests and play: no pushes, constant f, physics at 240 Hz or more, turning away noticed."""
         return replace(
             self,
             pushes=Pushes(),
             frequencies=replace(self.frequencies, change_interval=0.0),
             physics=replace(self.physics, substeps=max(self.physics.substeps, TEST_SUBSTEPS)),
+            termination=replace(self.termination, maximum_heading=min(self.termination.maximum_heading, TEST_HEADING)),
         )
 
     def validate(self) -> None:

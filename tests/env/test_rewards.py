@@ -40,12 +40,11 @@ def test_upright(view_of):
     assert rewards.upright(view_of(root_rotation=q)).tolist() == pytest.approx([1.0, 0.5, 0.0], abs=1e-6)
 
 
-def test_target_velocity_and_sideways_speed(view_of):
-    """R_d is the velocity along the target direction, negative when going back; the rest is sideways."""
+def test_target_velocity(view_of):
+    """R_d is the velocity along the target direction, negative when going back."""
     velocity = torch.tensor([[2.0, 1.0, 9.0], [2.0, 1.0, 9.0], [-2.0, 0.0, 0.0]])
     view = view_of(root_linear_velocity=velocity, heading=torch.tensor([0.0, math.pi / 2, 0.0]))
     assert rewards.target_velocity(view).tolist() == pytest.approx([2.0, 1.0, -2.0], abs=1e-6)
-    assert rewards.sideways_speed(view).tolist() == pytest.approx([1.0, 2.0, 0.0], abs=1e-6)
 
 
 def test_turned_away(view_of):

@@ -36,7 +36,7 @@ SOURCE = Source("AI-CPG", 3, 100)
 
 def run(protocol: Protocol, engine, pattern, frequencies=None) -> Trajectories:
     """A trajectories of the CPG alone, on the engine's ground."""
-    task = get_task("flat")
+    task = get_task("flat").undisturbed()
     if engine.terrain is not None:
         task.ground = engine.terrain.ground
     task.pushes = protocol.pushes()

@@ -66,6 +66,7 @@ def settings(**changes: Any) -> dict[str, Any]:
         "num_mini_batches": 2,
         "schedule": "fixed",
         "learning_rate_bounds": (1e-5, 1e-2),
+        **{"desired_kl": 0.01, "final_kl": 0.01, "kl_decay": 1},
         "learning_rate": 1e-3,
         "discriminator_hidden_sizes": [32, 16],
         "discriminator_learning_rate": 1e-3,
