@@ -29,7 +29,7 @@ def robust() -> Task:
         name="robust",
         ground=Ground(height_range=0.12, levels=7, level_strip=True, length=160.0, width=63.0),
         frequencies=Frequencies(minimum=0.65, maximum=1.45, change_interval=4.0, change_rate=0.25, jumps=0.1),
-        pushes=Pushes(force=200.0, interval=2.0),
+        pushes=Pushes(force=200.0, interval=2.0, grow_with_level=True),  # from nothing, all at once is too much
     )
     # At the paper's weight of 1 a longer training trades the imitated gait for speed: goose steps, 2.9 m/s at 0.9 Hz.
     task.rewards["target_velocity"].weight = 0.4

@@ -445,7 +445,8 @@ class Environment(VecEnv):
         self._push = torch.where(due.unsqueeze(1), pushes.force * (2.0 * drawn - 1.0), self._push)
         active = self._push_clock < pushes.duration - half_a_step
         self._push_clock = self._push_clock + CONTROL_DT
-        return self._push * active.unsqueeze(1)
+        share = self.level / (self.task.ground.levels - 1) if pushes.grow_with_level else 1.0
+        return self._push * (active * share).unsqueeze(1)
 
     def _uniform(self, low: float, high: float) -> torch.Tensor:
         """Random numbers in [low, high), shape [num_envs]."""

@@ -119,6 +119,8 @@ class Pushes:
     """Duration of a push [s]."""
     interval: Annotated[float, POSITIVE] = 1.0
     """Time from push to push [s]."""
+    grow_with_level: bool = False
+    """Scale the force with the robot's level of the terrain: none on the first, all on the last (``ground.levels``)."""
 
     def validate(self) -> None:
         """Refuse what cannot be.
@@ -328,6 +330,8 @@ class Task:
         self.learning.validate()
         self.frequencies.validate()
         self.pushes.validate()
+        if self.pushes.grow_with_level and self.ground.levels < 2:
+            raise UserError("pushes.grow_with_level needs levels; give ground.levels of at least 2, or turn it off")
         for name, term in self.rewards.items():
             term.validate(f"rewards.{name}")
         if self.resets.minimum_speed > self.resets.maximum_speed:
@@ -348,7 +352,8 @@ class Task:
         unless(self.ground.uneven, "the ground is a plane, as ground.height_range is 0", *plane)
         changes = ("frequencies.change_rate", "frequencies.jumps")
         unless(self.frequencies.change_interval > 0, "f stays, as frequencies.change_interval is 0", *changes)
-        unless(self.pushes.force > 0, "nobody pushes, as pushes.force is 0", "pushes.duration", "pushes.interval")
+        pushes = [f"pushes.{name}" for name in ("duration", "interval", "grow_with_level")]
+        unless(self.pushes.force > 0, "there are no pushes, as pushes.force is 0", *pushes)
         learning = self.learning
         mirrored = "an equivariant network is symmetric by itself"
         unless(learning.network == "mlp", mirrored, "learning.symmetry")

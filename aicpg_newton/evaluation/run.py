@@ -196,7 +196,7 @@ def _check_terrain(controllers: Sequence[Controller], terrain_seeds: tuple[int, 
         raise UserError(f"--terrain-seed is {terrain_seeds}; give each seed once")
     for controller in controllers:
         for terrain_seed in terrain_seeds:
-            on_terrain(controller.task, terrain_seed).validate()
+            on_terrain(controller.task.undisturbed(), terrain_seed).validate()
         if controller.terrain_seed in terrain_seeds:
             raise UserError(
                 f"{controller.title} was trained on the terrain of seed {controller.terrain_seed}; give other"

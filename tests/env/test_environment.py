@@ -10,7 +10,7 @@ from aicpg_newton.env import environment as module
 from aicpg_newton.env.actuation import PatternActuation
 from aicpg_newton.env.environment import Environment
 from aicpg_newton.env.registry import get_task
-from aicpg_newton.env.task import Frequencies
+from aicpg_newton.env.task import Frequencies, Pushes
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import PatternNetwork, advance_phase
 from aicpg_newton.gait.poses import gait_pose
@@ -422,6 +422,24 @@ def test_pushes(puppet, pattern: PatternNetwork):
         assert torch.diff(begins).tolist() == [60] * (len(begins) - 1)
         for begin in begins:
             assert len(pushes[begin : begin + 6, env].unique(dim=0)) == 1
+
+
+def test_pushes_grow_with_the_level(puppet, pattern: PatternNetwork):
+    """None on the first level, half of the force in the middle, all of it on the last."""
+    task = get_task("uneven")
+    task.ground.levels, task.ground.level_strip = 3, True
+    task.pushes = Pushes(force=100.0, duration=1.0, interval=1.0, grow_with_level=True)
+    task.validate()
+    environment = Environment(task, puppet(300, Terrain.make(task.ground)), pattern)
+    environment.level = torch.arange(300) % 3
+    environment.step(torch.zeros(300, 28))
+    push = environment.engine.calls[-1]["push"]  # type: ignore[attr-defined]
+    assert push is not None
+    largest = [float(push[environment.level == level].abs().max()) for level in range(3)]
+    assert largest == pytest.approx([0.0, 50.0, 100.0], abs=2.0) and largest[0] == 0.0
+    task.ground.levels = 1
+    with pytest.raises(UserError, match=r"pushes\.grow_with_level needs levels"):
+        task.validate()
 
 
 def test_no_pushes_by_default(environment: Environment):
