@@ -258,8 +258,6 @@ class Environment(VecEnv):
             torque_unit=actuation.torque_unit,
             target=actuation.target,
             target_velocity=actuation.target_velocity,
-            pattern=self.pattern,
-            phase=self.phase,
         )
         return self._seen
 

@@ -107,14 +107,6 @@ def pattern_tracking(view: View, bound: float, reading: PatternError) -> torch.T
     return (1.0 - error / bound).clamp_min(0.0)
 
 
-def bounce(view: View) -> torch.Tensor:
-    """Squared difference of the pelvis's vertical velocity from the imitated gait's [m^2/s^2]; not in the paper.
-
-    Joint angles do not tell a walk from a hop, as both swing the legs alike.
-    """
-    return (view.state.root_linear_velocity[:, 2] - view.gait_rise) ** 2
-
-
 def target_speed(view: View) -> torch.Tensor:
     """R_t of the PPO baseline: 1 at the speed told, falling straight to 0 at standstill and at twice that speed.
 
@@ -144,7 +136,6 @@ def pattern_terms() -> dict[str, RewardTerm]:
     """
     return {
         "pattern_tracking": RewardTerm(pattern_tracking, 5.0, {"bound": 2.5, "reading": "sum_of_magnitudes"}),
-        "bounce": RewardTerm(bounce, 0.0),
     }
 
 

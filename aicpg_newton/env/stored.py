@@ -159,7 +159,7 @@ _BEFORE = {
 }
 """Learning settings that were not settings once, with what was done then."""
 
-_DROPPED = ("sideways_speed",)
+_DROPPED = ("sideways_speed", "turned_away", "bounce")
 """Reward terms that no task has any more: a training that had one can be played, and resumes without it."""
 
 _RENAMED = {"reflex_energy": "action_energy"}

@@ -11,7 +11,6 @@ import torch
 from aicpg_newton.engines.interface import BodyState, RobotState
 from aicpg_newton.engines.terrain import Terrain
 from aicpg_newton.env.commands import Commands
-from aicpg_newton.gait.cpg import PatternNetwork
 from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import BODY_WEIGHT, FOOT_LEVER, Motors
 
@@ -93,20 +92,10 @@ class View(BodyView):
     target_velocity: torch.Tensor | None = None
     """Its rate over the coming control step [rad/s], shape [num_envs, 28]; None when rewards are given, as what the
     robots are told next is not known then."""
-    pattern: PatternNetwork | None = None
-    """S and the gaits that it imitates."""
-    phase: torch.Tensor | None = None
-    """Phase of the rhythm generator [rad], shape [num_envs]."""
 
     def ground_below(self, point: torch.Tensor) -> torch.Tensor:
         """World height of the ground below points [m], shape [num_envs, 3] to [num_envs]."""
         return self.ground_height if self.terrain is None else self.terrain.height(point)
-
-    @derived
-    def gait_rise(self) -> torch.Tensor:
-        """Vertical velocity of the pelvis in the imitated gait [m/s], shape [num_envs]."""
-        assert self.pattern is not None and self.phase is not None
-        return self.pattern.rise(self.phase, self.commands.frequency)
 
     @derived
     def direction(self) -> torch.Tensor:

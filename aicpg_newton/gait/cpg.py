@@ -180,12 +180,6 @@ class PatternNetwork(nn.Module):
         basis = fourier_basis(phase, (series.shape[1] - 1) // 2)
         return (basis.unsqueeze(-1) * coefficients).sum(dim=-2)
 
-    def rise(self, phase: torch.Tensor, frequency: torch.Tensor) -> torch.Tensor:
-        """Vertical velocity of the pelvis in the gait over the coming control step [m/s]; shapes [...]."""
-        phases = torch.stack((phase, advance_phase(phase, frequency)))
-        now, soon = self.root_motion(phases, frequency.expand_as(phases))[..., 2].unbind(0)
-        return (soon - now) / CONTROL_DT
-
     def _between_gaits(self, frequency: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Values at the first and last gait, shape [2, ...], on a straight line over frequency."""
         low, high = self.gaits[0].frequency, self.gaits[-1].frequency

@@ -155,7 +155,7 @@ def test_settings_that_differ_between_methods():
     """The one table: all else of the task is the same."""
     plain = TASKS["flat"]()
     common = {each.name for each in fields(Task)} - {"method", "rewards", "learning"}
-    own = {"ai-cpg": {"pattern_tracking", "bounce"}, "ppo": {"target_speed"}, "amp": set()}
+    own = {"ai-cpg": {"pattern_tracking"}, "ppo": {"target_speed"}, "amp": set()}
     for name in METHODS:
         task = get_task("flat", name)
         assert task.method == name

@@ -114,7 +114,7 @@ def test_reward_is_the_weighted_sum_of_the_terms(environment: Environment):
     tracking = (1 - error / terms["pattern_tracking"].parameters["bound"]).clamp_min(0)
     expected = 1.5 - 0.5 * energy + 1.0 + upright + 2.0 + 5.0 * tracking
     assert torch.allclose(reward, 0.01 * expected, atol=1e-6)
-    assert set(environment.outcome.reward_terms) == set(environment.task.rewards) - {"bounce"}  # of weight 0
+    assert set(environment.outcome.reward_terms) == set(environment.task.rewards)
 
 
 @pytest.mark.parametrize(

@@ -47,26 +47,6 @@ def test_target_velocity(view_of):
     assert rewards.target_velocity(view).tolist() == pytest.approx([2.0, 1.0, -2.0], abs=1e-6)
 
 
-def test_turned_away(view_of):
-    """It costs nothing within a quarter of a radian to either side of the target direction, and one across it."""
-    yaw = torch.tensor([0.2, -0.2, 0.75, -0.75, math.pi / 2 + 0.25, 3.3])
-    heading = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 3.2])
-    q = rotations.from_roll_pitch_yaw(torch.zeros(6), torch.zeros(6), yaw)
-    term = get_task("robust").rewards["turned_away"]
-    assert term.parameters == {"free": 0.25}
-    expected = [0.0, 0.0, 1.0 - math.cos(0.5), 1.0 - math.cos(0.5), 1.0, 0.0]
-    assert term(view_of(root_rotation=q, heading=heading)).tolist() == pytest.approx(expected, abs=1e-5)
-
-
-def test_bounce(view_of, pattern):
-    """Nothing where the pelvis rises as in the gait, the square of what it is faster or slower by."""
-    phase, others = torch.tensor([0.5, 0.5, 4.0]), torch.tensor([0.0, 0.5, -0.3])
-    velocity = torch.zeros(3, 3)
-    velocity[:, 2] = pattern.rise(phase, torch.ones(3)) + others
-    view = view_of(root_linear_velocity=velocity, pattern=pattern, phase=phase)
-    assert rewards.bounce(view).tolist() == pytest.approx([0.0, 0.25, 0.09], abs=1e-5)
-
-
 @pytest.mark.parametrize(
     ("reading", "bound", "reward"),
     [

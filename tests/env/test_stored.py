@@ -82,17 +82,29 @@ def test_settings_of_another_version_are_refused(content: Any, message: str):
         task_from_dict(content, "file")
 
 
-def test_a_reward_term_from_later_had_no_weight():
+def test_a_reward_term_from_later_had_no_weight(monkeypatch: pytest.MonkeyPatch):
     """A training of before the task had it goes on with the reward that it had."""
-    content = to_dict(get_task("robust"))
-    del content["rewards"]["turned_away"], content["rewards"]["bounce"]
+    plain_task = TASKS["flat"]
+
+    def with_one_more():
+        task = plain_task()
+        task.rewards["later"] = RewardTerm(lambda view, size: torch.ones(1) * size, 1.0, {"size": 2.0})
+        return task
+
+    content = to_dict(get_task("flat"))
     content["rewards"]["upright"]["weight"] = 2.0
+    monkeypatch.setitem(TASKS, "flat", with_one_more)
     task = task_from_dict(content, "file")
-    assert task.rewards["turned_away"].weight == 0.0 and task.rewards["turned_away"].parameters == {"free": 0.25}
-    assert task.rewards["upright"].weight == 2.0 and task.rewards["pattern_tracking"].weight == 8.0
-    assert task.rewards["bounce"].weight == 0.0
-    now = get_task("robust").rewards
-    assert now["turned_away"].weight < 0.0 and now["bounce"].weight < 0.0
+    assert (task.rewards["later"].weight, task.rewards["later"].parameters) == (0.0, {"size": 2.0})
+    assert task.rewards["upright"].weight == 2.0 and get_task("flat").rewards["later"].weight == 1.0
+
+
+def test_reward_terms_that_are_gone_are_left_out():
+    """Of a task that had them: it can be read."""
+    content = to_dict(get_task("robust"))
+    for name in ("sideways_speed", "turned_away", "bounce"):
+        content["rewards"][name] = {"weight": -1.0, "parameters": {}}
+    assert task_from_dict(content, "file") == get_task("robust")
 
 
 def test_settings_that_are_not_there_are_the_tasks_own():

@@ -25,7 +25,7 @@ def test_flat_has_the_papers_numbers():
     task = get_task("flat")
     weights = {name: term.weight for name, term in task.rewards.items()}
     assert {weights.pop(name) for name in ("head_height", "survival", "upright", "target_velocity")} == {1.0}
-    assert weights == {"action_energy": -0.5, "pattern_tracking": 5.0, "bounce": 0.0}
+    assert weights == {"action_energy": -0.5, "pattern_tracking": 5.0}
     assert task.rewards["pattern_tracking"].parameters == {"bound": 2.5, "reading": "sum_of_magnitudes"}
     assert task.termination.maximum_heading == 180.0 and task.undisturbed().termination.maximum_heading == 57.0
     assert (task.frequencies.minimum, task.frequencies.maximum) == (0.8, 1.4)

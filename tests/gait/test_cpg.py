@@ -87,14 +87,6 @@ def test_root_motion_and_speed_lie_between_the_gaits():
     assert speed.tolist() == pytest.approx([1.2, 2.2, 3.2, 3.7, 0.6, 0.0], abs=1e-5)
 
 
-def test_rise_is_the_rate_of_the_pelvis_height():
-    """Of z = 0.9 + 0.03 sin(phase): 0.03 cos(phase) 2 pi f, half a control step later."""
-    network, f = made_up_network(), 1.1
-    phase = torch.tensor([0.0, 1.0, 3.0, 6.2])
-    expected = 0.03 * 2 * math.pi * f * torch.cos(phase + 0.5 * 2 * math.pi * f / 60)
-    assert torch.allclose(network.rise(phase, torch.full((4,), f)), expected, atol=1e-3)
-
-
 def test_network_has_the_papers_layers():
     """50-128-128-28 with ReLU."""
     shapes = [tuple(value.shape) for value in made_up_network().state_dict().values() if value.ndim == 2]
