@@ -17,6 +17,7 @@ from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.terrain_summaries import SAMPLE
 from aicpg_newton.figures.plotting import Style, mean, methods, number_of_seeds, std
 from aicpg_newton.robot.humanoid import CONTROL_DT
+from aicpg_newton.texts import number
 
 _PAPER_SPEED = {"walking": 1.5, "running": 3.0}  # [m/s]
 _SHADES = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.93, 256)))  # its end is too pale on white
@@ -94,7 +95,7 @@ def _told(rows: list[Row]) -> str:
 def _speed(condition: str) -> float:
     """Speed that a controller was trained for [m/s]; NaN where its condition is none."""
     try:
-        return float(condition)
+        return number(condition)
     except ValueError:
         return math.nan
 
