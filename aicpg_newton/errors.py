@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable
 
-from aicpg_newton import launcher
+from aicpg_newton import console, launcher
 
 _PLACES = {
     errno.ENOSPC,
@@ -30,7 +30,8 @@ class UserError(Exception):
 def run_command(command: Callable[[], object], *, alone: bool = True) -> None:
     """Run a command line; a :class:`UserError` becomes one line on stderr and exit status 2, without a traceback.
 
-    Letters that the terminal does not have are spelled out, as those of a path in another encoding.
+    Letters that the terminal does not have are spelled out, as those of a path in another encoding. The work goes on
+    when nobody reads its output any more.
 
     Args:
         command: What is to be done.
@@ -39,6 +40,8 @@ def run_command(command: Callable[[], object], *, alone: bool = True) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    if not {"-h", "--help"} & set(sys.argv):  # which nobody has to read to its end
+        console.outlive_readers()
     who = ""
     try:
         try:
@@ -59,7 +62,11 @@ def run_command(command: Callable[[], object], *, alone: bool = True) -> None:
         if error.errno not in _PLACES:
             raise
         where = f" {error.filename}" if error.filename else ""
-        print(f"error: cannot write or read{where} ({error.strerror}); make room or choose another", file=sys.stderr)
+        kernels = getattr(getattr(sys.modules.get("warp"), "config", None), "kernel_cache_dir", None)
+        advice = "make room or choose another"
+        if kernels and str(error.filename).startswith(kernels):
+            advice = "set WARP_CACHE_PATH to a folder for compiled kernels that can be written to"
+        print(f"error: cannot write or read{where} ({error.strerror}); {advice}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         if not who:
