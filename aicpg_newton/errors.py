@@ -6,7 +6,7 @@ import errno
 import io
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from aicpg_newton import console, launcher
 
@@ -25,6 +25,22 @@ _PLACES = {
 
 class UserError(Exception):
     """Bad input: the message is one sentence that says what is wrong and what to do."""
+
+
+def _refuse_other_encodings(words: Iterable[str]) -> None:
+    """Refuse options with bytes that are not UTF-8, before anything is made: libraries take no such paths.
+
+    Raises:
+        UserError: There are such bytes.
+    """
+    for word in words:
+        try:
+            os.fsencode(word).decode("utf-8")
+        except UnicodeError as error:
+            raise UserError(
+                f"{os.fsencode(word)!r} holds bytes that are not UTF-8; rename the file or the folder, or change into"
+                " the folder and give a path from there"
+            ) from error
 
 
 def run_command(command: Callable[[], object], *, alone: bool = True) -> None:
@@ -51,6 +67,7 @@ def run_command(command: Callable[[], object], *, alone: bool = True) -> None:
         who = f"process {place.rank}: " if place.rank else ""
         if alone and place.size > 1:
             raise UserError("this command is for one process, only train.py is for several; start it without torchrun")
+        _refuse_other_encodings(sys.argv[1:])
         command()
     except UserError as error:
         print(f"{who}error: {error}", file=sys.stderr)

@@ -25,12 +25,15 @@ def _start_warp() -> None:
     """
     try:
         wp.init()
-        folder = wp.config.kernel_cache_dir
-        if folder is None or os.access(folder, os.W_OK | os.X_OK) or os.listdir(folder):
+        folder = wp.config.kernel_cache_dir or ""
+        os.fsencode(folder).decode("utf-8")
+        if not folder or os.access(folder, os.W_OK | os.X_OK) or os.listdir(folder):
             return
         reason = f"{folder} may not be written to"
     except OSError as error:
         reason = f"{error.filename} cannot be made or read: {error.strerror}"
+    except UnicodeError:
+        reason = f"{wp.config.kernel_cache_dir} holds bytes that are not UTF-8"
     try:
         temporary = tempfile.mkdtemp(prefix="aicpg_newton_kernels_")
     except OSError as error:
