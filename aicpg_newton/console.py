@@ -6,6 +6,10 @@ import errno
 import io
 import os
 import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
 
 _GONE = {errno.EPIPE, errno.EIO}
 """The reader of a pipe has ended, or the terminal has been closed."""
@@ -26,7 +30,7 @@ class _Outlet(io.RawIOBase):
     def isatty(self) -> bool:
         return os.isatty(self._descriptor)
 
-    def write(self, data: memoryview, /) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def write(self, data: WriteableBuffer, /) -> int:
         try:
             return os.write(self._descriptor, data)
         except OSError as error:
@@ -37,7 +41,7 @@ class _Outlet(io.RawIOBase):
         os.close(nowhere)
         if self._descriptor != 2:
             print("Nobody reads the output any more; the work goes on without it.", file=sys.stderr, flush=True)
-        return len(data)
+        return memoryview(data).nbytes
 
 
 def outlive_readers() -> None:

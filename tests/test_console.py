@@ -32,8 +32,11 @@ def run(arguments: list[str], closed: str) -> tuple[int, str]:
     os.close(read)
     other = "stderr" if closed == "stdout" else "stdout"
     streams = {closed: write, other: subprocess.PIPE}
+    command = [sys.executable, "-c", WORK, *arguments]
     root = Path(__file__).resolve().parent.parent
-    result = subprocess.run([sys.executable, "-c", WORK, *arguments], cwd=root, text=True, check=False, **streams)
+    result = subprocess.run(
+        command, cwd=root, text=True, check=False, stdout=streams["stdout"], stderr=streams["stderr"]
+    )
     os.close(write)
     return result.returncode, getattr(result, other)
 

@@ -120,8 +120,8 @@ def test_the_interval_holds_as_often_as_it_says():
     random = np.random.default_rng(0)
     held = 0
     for _ in range(2000):
-        groups = (random.normal(1.0, 0.1, 3), random.normal(1.0, 0.4, 3))
-        difference, half = claims.Comparison("cost_of_transport", "PPO 1", 1.0, *map(tuple, groups), (3, 3)).difference
+        one, other = (tuple(random.normal(1.0, spread, 3)) for spread in (0.1, 0.4))
+        difference, half = claims.Comparison("cost_of_transport", "PPO 1", 1.0, one, other, (3, 3)).difference
         held += abs(difference) <= half
     assert 0.94 < held / 2000 < 0.99
 
