@@ -5,6 +5,7 @@ play.py and evaluate find a task's network there by themselves; a baseline's fil
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,6 +104,11 @@ _SHOWN = {
 }
 
 
+def _cell(row: results.Row | None, name: str) -> str:
+    """A measure with two digits; a dash where there is none."""
+    return f"{row[name]:.2f}" if row and math.isfinite(row[name]) else "-"
+
+
 def side_by_side(old: Path, content: dict[str, Any], options: PublishOptions) -> str:
     """A table of the sweep with the network that ships and with the new one: old, then new, for each measure."""
     tables: list[dict[float, results.Row] | None] = []
@@ -124,8 +130,7 @@ def side_by_side(old: Path, content: dict[str, Any], options: PublishOptions) ->
     assert after is not None
     lines = ["f [Hz]" + "".join(f"{title:>20}" for title in _SHOWN.values()), " " * 6 + f"{'old':>12}{'new':>8}" * 5]
     for (frequency, new), was in zip(after.items(), (before or dict.fromkeys(after)).values(), strict=True):
-        cells = [f"{was[name]:12.2f}" if was else f"{'-':>12}" for name in _SHOWN]
-        cells = [f"{cell}{new[name]:8.2f}" for cell, name in zip(cells, _SHOWN, strict=True)]
+        cells = [f"{_cell(was, name):>12}{_cell(new, name):>8}" for name in _SHOWN]
         lines.append(f"{frequency:6.2f}" + "".join(cells))
     return "\n".join(lines)
 

@@ -183,7 +183,7 @@ def test_clips(tally: Tally, tmp_path: Path):
     skeleton = subject.skeleton
     clips = {
         "walk": subject.motion("walk.amc", subject.stride_frames(0.9, 1.5)),
-        "run": subject.motion("run.amc", subject.stride_frames(1.35, 1.2, speed=100.0)),
+        "run": subject.motion("run.amc", subject.stride_frames(1.35, 1.2)),
     }
     good = {"--skeleton": skeleton, "--walk": clips["walk"], "--run": clips["run"], "--out": tmp_path / "net.pt"}
     for option in ("--skeleton", "--walk"):
@@ -388,6 +388,33 @@ def test_paths_of_options(command: Callable[[], None], before: list[str], tmp_pa
     for name, path in odd.items():
         tally.call(name, command, *before, path)
     tally.end(11, mostly_refused=False)
+
+
+@pytest.mark.parametrize(
+    ("command", "before"),
+    [
+        (train.command, ["--device", "cpu", "--run-dir"]),
+        (train.command, ["--device", "cpu", "--resume"]),
+        (play.command, ["--device", "cpu", "--record"]),
+        (evaluate.command, ["--device", "cpu", "--agent", "zero", "--out"]),
+        (compare_command, ["--device", "cpu", "--out"]),
+        (publish_command, ["--checkpoint"]),
+        (motion_command, ["--skeleton", "a", "--walk", "b", "--run", "c", "--out"]),
+    ],
+    ids=lambda value: value[-1] if isinstance(value, list) else value.__module__.split(".")[-1],
+)
+def test_paths_that_are_not_utf_8_are_refused(command: Callable[[], None], before: list[str], tmp_path: Path, capsys):
+    """Before anything is made: TensorBoard, ONNX and MuJoCo take no such paths."""
+    folder = os.fsdecode(os.fsencode(tmp_path / "work") + b"/M\xfcller")
+    Path(folder).mkdir()
+    capsys.readouterr()
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as end:
+        patch.setattr(sys, "argv", ["command", *before, f"{folder}/new"])
+        command()
+    said = capsys.readouterr().err
+    assert end.value.code == 2 and said.count("\n") == 1
+    assert "M\\xfcller/new' holds bytes that are not UTF-8; rename the file or the folder" in said
+    assert not list(Path(folder).iterdir())
 
 
 def test_words_of_options(tally: Tally):

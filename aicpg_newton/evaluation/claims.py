@@ -44,11 +44,15 @@ class Comparison:
     other: str
     """Method and condition, as ``PPO 2.5``."""
     speed: float
-    """Mean speed of the other's seeds, at which AI-CPG is looked up on a plane [m/s]."""
+    """Mean speed of the other's seeds that have one, at which AI-CPG is looked up on a plane [m/s]."""
     ours: tuple[float, ...]
     """AI-CPG's value there, of each seed that has one: on a plane, that reaches the speed."""
     theirs: tuple[float, ...]
-    """The other's value, of each seed."""
+    """The other's value, of each seed that has one."""
+    seeds: tuple[int, int]
+    """How many seeds of AI-CPG and of the other there are, with those that have no value."""
+    reached: bool = True
+    """Whether any seed of AI-CPG goes at this speed; on uneven ground it need not."""
 
     @property
     def difference(self) -> tuple[float, float]:
@@ -72,8 +76,10 @@ class Comparison:
     def verdict(self) -> str:
         """What the seeds say, in words."""
         difference, half = self.difference
-        if math.isnan(difference):
-            return "AI-CPG does not go at this speed"
+        if not self.theirs:
+            return f"{self.other} has no value"
+        if not self.ours:
+            return "AI-CPG has no value" if self.reached else "AI-CPG does not go at this speed"
         if math.isnan(half):
             return "too few seeds"
         if abs(difference) <= half:
@@ -93,8 +99,8 @@ def at_speed(rows: Iterable[Row], speed: float, column: str) -> float:
     Returns:
         NaN outside of the speeds that it goes at.
     """
-    known = [row for row in rows if stays_on_course(row) and math.isfinite(row[column])]
-    pairs = sorted((row["speed_mps"], row[column]) for row in known)
+    points = [(row["speed_mps"], row[column]) for row in rows if stays_on_course(row)]
+    pairs = sorted(point for point in points if all(map(math.isfinite, point)))
     if not pairs or not pairs[0][0] <= speed <= pairs[-1][0]:
         return math.nan
     speeds, values = zip(*pairs, strict=True)
@@ -116,7 +122,8 @@ def compare(sweep: Sequence[Row], disturbance: Sequence[Row]) -> list[Comparison
         group = []
         for method, condition in others:
             theirs = _by_seed(row for row in rows if (row["method"], row["condition"]) == (method, condition))
-            speed = float(np.mean([row["speed_mps"] for each in theirs.values() for row in each]))
+            speeds = [row["speed_mps"] for each in theirs.values() for row in each]
+            speed = float(np.mean([each for each in speeds if math.isfinite(each)] or math.nan))
             ours = [at_speed(each, speed, quantity) for each in mine.values()]
             group.append(
                 Comparison(
@@ -124,10 +131,13 @@ def compare(sweep: Sequence[Row], disturbance: Sequence[Row]) -> list[Comparison
                     other=f"{method} {condition}",
                     speed=speed,
                     ours=tuple(value for value in ours if math.isfinite(value)),
-                    theirs=tuple(float(np.mean([row[quantity] for row in each])) for each in theirs.values()),
+                    theirs=_of_seeds(theirs, quantity),
+                    seeds=(len(mine), len(theirs)),
+                    reached=not mine
+                    or any(math.isfinite(at_speed(each, speed, "speed_mps")) for each in mine.values()),
                 )
             )
-        found += sorted(group, key=lambda each: each.speed)
+        found += sorted(group, key=lambda each: _place(each.speed))
     return found
 
 
@@ -143,21 +153,28 @@ def compare_on_terrain(terrain: Sequence[Row]) -> list[Comparison]:
     others = []
     for other in dict.fromkeys((row["gait"], row["method"], row["condition"]) for row in terrain if row["condition"]):
         gait, method, condition = other
-        mine = [row for row in terrain if (row["method"], row["gait"]) == (OURS, gait)]
-        theirs = [row for row in terrain if (row["gait"], row["method"], row["condition"]) == other]
+        mine = _by_seed(row for row in terrain if (row["method"], row["gait"]) == (OURS, gait))
+        theirs = _by_seed(row for row in terrain if (row["gait"], row["method"], row["condition"]) == other)
         speed = float(np.mean(_of_seeds(theirs, "speed_mps") or math.nan))
-        others.append((gait != "walking", speed, f"{method} {condition}", mine, theirs))
+        others.append((gait != "walking", _place(speed), f"{method} {condition}", speed, mine, theirs))
     others.sort(key=lambda each: each[:2])
     return [
-        Comparison(quantity, name, speed, _of_seeds(mine, quantity), _of_seeds(theirs, quantity))
+        Comparison(
+            quantity, name, speed, _of_seeds(mine, quantity), _of_seeds(theirs, quantity), (len(mine), len(theirs))
+        )
         for quantity in ON_TERRAIN
-        for _, speed, name, mine, theirs in others
+        for _, _, name, speed, mine, theirs in others
     ]
 
 
-def _of_seeds(rows: Iterable[Row], column: str) -> tuple[float, ...]:
+def _place(speed: float) -> float:
+    """Where a speed stands in an order; one that is not known at the end."""
+    return speed if math.isfinite(speed) else math.inf
+
+
+def _of_seeds(seeds: dict[float, list[Row]], column: str) -> tuple[float, ...]:
     """Each seed's mean, of the seeds that have a value."""
-    values = ([row[column] for row in each if math.isfinite(row[column])] for each in _by_seed(rows).values())
+    values = ([row[column] for row in each if math.isfinite(row[column])] for each in seeds.values())
     return tuple(float(np.mean(each)) for each in values if each)
 
 
@@ -180,7 +197,10 @@ def by_chance(comparisons: Iterable[Comparison]) -> str:
 
 
 def table(comparisons: Iterable[Comparison]) -> str:
-    """The comparisons as a Markdown table: each seed's value, the difference of the means, and what it says."""
+    """The comparisons as a Markdown table: each seed's value, the difference of the means, and what it says.
+
+    Where seeds have no value, as their robots fell at once or do not go at this speed, it says how many.
+    """
     titles = QUANTITIES | ON_TERRAIN
     head = ("", "at [m/s]", "beside", "AI-CPG, each seed", "the other, each seed", "difference", "")
     lines = [head, ("---",) * len(head)]
@@ -188,6 +208,14 @@ def table(comparisons: Iterable[Comparison]) -> str:
         difference, half = each.difference
         told = "-" if math.isnan(difference) else f"{difference:+.2f}"
         told += "" if math.isnan(half) else f" ± {half:.2f}"
-        values = (", ".join(f"{value:.2f}" for value in values) or "-" for values in (each.ours, each.theirs))
-        lines.append((titles[each.quantity], f"{each.speed:.2f}", each.other, *values, told, each.verdict))
+        values = map(_told, (each.ours, each.theirs), each.seeds)
+        speed = f"{each.speed:.2f}" if math.isfinite(each.speed) else "-"
+        lines.append((titles[each.quantity], speed, each.other, *values, told, each.verdict))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _told(values: Sequence[float], seeds: int) -> str:
+    """The values of seeds, and how many have none."""
+    told = ", ".join(f"{value:.2f}" for value in values) or "-"
+    none = seeds - len(values)
+    return f"{told} ({none} of {seeds} seed{'s' if seeds != 1 else ''} without a value)" if none else told

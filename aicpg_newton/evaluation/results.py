@@ -26,6 +26,16 @@ Row = dict[str, Any]
 
 _TEXT = ("method", "condition", "gait", "reason")
 _TOLD = ("frequency_hz", "condition")
+_NAMES = (
+    *("method", "condition", "gait", "seed", "terrain_seed", "iteration", "environment"),
+    *("commanded_mps", "frequency_hz", "time_s"),
+)
+"""Columns that tell the rows of a table apart, as far as it has them."""
+
+_SHARES = ("survived", "survived_low", "survived_high", "standing", "turned_away", "flight_ratio")
+_SHARES += ("right_contact", "left_contact")
+_NEVER_NEGATIVE = ("seed", "terrain_seed", "iteration", "environment", "environments", "time_s", "falls_per_minute")
+_NEVER_NEGATIVE += ("turned_away_per_minute", "cost_of_transport", "symmetry_index", "froude")
 
 
 def prepare(folder: Path, names: Iterable[str], controllers: list[dict[str, Any]]) -> None:
@@ -79,7 +89,8 @@ def read_table(folder: Path, name: str) -> list[Row]:
     """Rows of a protocol's CSV file, numbers as floats and empty cells as NaN; so are further columns that are missing.
 
     Raises:
-        UserError: The file is missing, has other columns, a cell that is no number, or measures of version 0.1.
+        UserError: The file is missing, has other columns, a cell that is no number, measures of version 0.1, or a row
+            that no evaluation writes: given twice, empty without a reason, or with a number that cannot be.
     """
     path = folder / f"{name}.csv"
     if not path.is_file():
@@ -104,12 +115,40 @@ def read_table(folder: Path, name: str) -> list[Row]:
         if None in row or None in row.values():
             raise UserError(f"{path} has a row of another length than its first; evaluate again")
     try:
-        return [
+        table = [
             {key: text if key in _TEXT else number(text) if text else math.nan for key, text in row.items()}
             for row in rows
         ]
     except ValueError as error:
         raise UserError(f"{path} holds a cell that is not a number ({error}); evaluate again") from error
+    seen: dict[tuple, int] = {}
+    for place, (row, texts) in enumerate(zip(table, rows, strict=True), start=1):
+        fault = _fault(row, columns)
+        same = seen.setdefault(tuple(texts.get(name) for name in _NAMES), place)
+        if same != place:
+            fault = f"is of the same as row {same}"
+        if fault:
+            raise UserError(f"{path}: row {place} {fault}; evaluate again, or fix the table")
+    return table
+
+
+def _fault(row: Row, needs: Sequence[str]) -> str:
+    """What an evaluation would not have written in a row, in words; empty where there is nothing."""
+    empty = [name for name in needs if name not in (*_TEXT, *_TOLD) and math.isnan(row[name])]
+    if not row["method"] or math.isnan(row["seed"]):
+        return "does not say of which method and seed it is"
+    if not row["reason"] and empty:
+        return f"has no {empty[0]} and no reason why"
+    if not row["reason"] and not row.get("condition") and math.isnan(row.get("frequency_hz", 0.0)):
+        return "has neither a frequency_hz nor a condition"
+    if row.get("frequency_hz", 1.0) <= 0.0:
+        return f"has a frequency_hz of {row['frequency_hz']:g}, but frequencies are above 0"
+    for name, value in row.items():
+        if name in _SHARES and not 0.0 <= value <= 1.0 and not math.isnan(value):
+            return f"has a {name} of {value:g}, but shares are from 0 to 1"
+        if (name in _NEVER_NEGATIVE or name.endswith("_ci95")) and value < 0.0:
+            return f"has a {name} of {value:g}, which is never negative"
+    return ""
 
 
 def read_together(folders: Iterable[Path], name: str) -> list[Row]:
@@ -143,7 +182,7 @@ def read_description(folder: Path, name: str) -> dict[str, Any]:
     path = folder / f"{name}.json"
     broken = UserError(f"{path} cannot be read; run the {name} protocol into another folder")
     try:
-        content = json.loads(read_text(path))
+        content = json.loads(read_text(path), parse_constant=number)  # which takes no NaN and no Infinity
     except (ValueError, RecursionError, UserError) as error:
         raise broken from error
     lists = [content.get(key) for key in ("controllers", "results")] if isinstance(content, dict) else [None]

@@ -187,7 +187,8 @@ def speeds_to_command(sweep: list[Row], source: Source, count: int) -> tuple[np.
         Speeds [m/s] and frequencies [Hz], each of shape [count], or [0] where there is no such frequency.
     """
     mine = [row for row in sweep if (row["method"], row["seed"]) == (source.method, source.seed)]
-    points = sorted((row["frequency_hz"], row["speed_mps"]) for row in mine if stays_on_course(row))
+    known = [row for row in mine if stays_on_course(row) and math.isfinite(row["speed_mps"])]
+    points = sorted((row["frequency_hz"], row["speed_mps"]) for row in known)
     if not points:
         return np.empty(0), np.empty(0)
     frequency, speed = np.array(points).T

@@ -29,7 +29,7 @@ from aicpg_newton.robot.humanoid import CONTROL_RATE, JOINT_NAMES, NUM_JOINTS
 
 INPUTS: dict[str, tuple[tuple[int, ...], str]] = {
     "root_position": ((3,), "origin of the pelvis frame in the world [m]"),
-    "root_rotation": ((4,), "rotation of the pelvis, unit quaternion (w, x, y, z)"),
+    "root_rotation": ((4,), "rotation of the pelvis, quaternion (w, x, y, z) of any length"),
     "root_linear_velocity": ((3,), "velocity of the pelvis frame's origin, world frame [m/s]"),
     "root_angular_velocity": ((3,), "angular velocity of the pelvis, pelvis frame [rad/s]"),
     "joint_position": ((NUM_JOINTS,), "joint angles [rad]"),
@@ -45,8 +45,12 @@ INPUTS: dict[str, tuple[tuple[int, ...], str]] = {
 }
 """Inputs in order: shape without the number of robots, which leads, and meaning.
 
-Root and joints are as MuJoCo holds them in qpos and qvel.
+Root and joints are as MuJoCo holds them in qpos and qvel. A value that is not finite stands for what it is at rest
+(see :meth:`Controller.forward`), and nothing counts as larger than :data:`LARGEST`.
 """
+
+LARGEST = 1e6
+"""Larger inputs are taken for this, so that no output overflows; nothing that is measured is as large."""
 
 OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
     "target": ((NUM_JOINTS,), "target angles theta_t of the PD law [rad]"),
@@ -55,6 +59,11 @@ OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
     "next_phase": ((), "phase of the rhythm generator a control step later [rad]"),
 }
 """Outputs in order, in the same way."""
+
+
+def sound(measured: torch.Tensor, otherwise: torch.Tensor | float = 0.0) -> torch.Tensor:
+    """What is measured, within +-:data:`LARGEST`; where it is not finite, something else."""
+    return torch.where(torch.isfinite(measured), measured, otherwise).clamp(-LARGEST, LARGEST)
 
 
 class Controller(nn.Module):
@@ -103,8 +112,16 @@ class Controller(nn.Module):
         heading: torch.Tensor,
         last_reflex_torque: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """:data:`INPUTS` to :data:`OUTPUTS`, each with a leading number of robots."""
-        rotation = root_rotation.roll(-1, dims=-1)
+        """:data:`INPUTS` to :data:`OUTPUTS`, each with a leading number of robots; finite for any input."""
+        walk = self.pattern.gaits[0]
+        ground_height, heading, phase = map(sound, (ground_height, heading, phase))
+        frequency = sound(frequency, walk.frequency)
+        upright = ground_height.unsqueeze(1) + root_position.new_tensor((0.0, 0.0, walk.root_harmonics[0][2]))
+        root_position = sound(root_position, upright)
+        root_linear_velocity, root_angular_velocity = map(sound, (root_linear_velocity, root_angular_velocity))
+        joint_position, joint_velocity, joint_torque = map(sound, (joint_position, joint_velocity, joint_torque))
+        foot_force, foot_moment, last_reflex_torque = map(sound, (foot_force, foot_moment, last_reflex_torque))
+        rotation = rotations.normalised(root_rotation.roll(-1, dims=-1), rotations.about_z(heading))
         state = RobotState(
             root_position=root_position,
             root_rotation=rotation,

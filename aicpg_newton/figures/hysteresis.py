@@ -17,6 +17,7 @@ from aicpg_newton.figures.plotting import (
     mark_the_papers_transition,
     mean,
     methods,
+    of_how_many,
     say_if_empty,
 )
 
@@ -42,9 +43,10 @@ def hysteresis_figure(rows: list[Row], found: list[dict[str, Any]]) -> Figure:
                 axes.plot(frequency[steps], value[steps], color=style.colour, linestyle=line, label=label)
         for way, line in (("up", "-"), ("down", "--")):
             changes = [each[way]["transition_frequency_hz"]["mean"] for each in found if each["method"] == method]
-            where = mean(change for change in changes if change is not None)
+            changes = [np.nan if change is None else change for change in changes]
+            where = mean(changes)
             if np.isfinite(where):
-                label = f"{method}, {way}: Fr = 0.5 at {where:.3f} Hz"
+                label = f"{method}, {way}: Fr = 0.5 at {where:.3f} Hz {of_how_many(changes)}".rstrip()
                 panels["froude"].axvline(where, color=style.colour, linestyle=line, linewidth=0.8, label=label)
     panels["froude"].axhline(TRANSITION_FROUDE, **REFERENCE, linestyle=":")
     mark_the_papers_transition(panels["flight_ratio"], *PAPERS_TRANSITION_HZ, "the paper's change of gait, going up")

@@ -67,7 +67,7 @@ class Points:
     y_spread: np.ndarray
     survived: np.ndarray
     seeds: str
-    """As :func:`number_of_seeds` has it."""
+    """As :func:`number_of_seeds` has it, of those that have a value, and how many have none."""
     curve: bool
     """Whether the points are frequencies of one controller, not controllers trained for different speeds."""
 
@@ -96,6 +96,12 @@ def std(values: Iterable[float]) -> float:
     return float(np.std(finite)) if finite else math.nan
 
 
+def of_how_many(values: Iterable[float]) -> str:
+    """How many of the seeds have a value, in words, where some have none: ``(2 of 3 seeds)``."""
+    known = [math.isfinite(value) for value in values]
+    return "" if all(known) else f"({sum(known)} of {len(known)} seeds)"
+
+
 def number_of_seeds(rows: Iterable[Row]) -> str:
     """How many seeds of a method's trainings there are, in words: ``3 seeds``, ``1 to 3 seeds`` where they differ."""
     trainings: dict[str, set[float]] = {}
@@ -112,7 +118,8 @@ def over_seeds(rows: Iterable[Row], method: str, x: str, y: str) -> Points:
     Several rows of one seed (its last checkpoints) are averaged first, so that every seed counts the same.
     """
     groups: dict[float | str, dict[float, list[Row]]] = {}
-    known = [row for row in rows if row["method"] == method and math.isfinite(row[x]) and math.isfinite(row[y])]
+    mine = [row for row in rows if row["method"] == method]
+    known = [row for row in mine if math.isfinite(row[x]) and math.isfinite(row[y])]
     for row in known:
         told = row["condition"] or row["frequency_hz"]
         groups.setdefault(told, {}).setdefault(row["seed"], []).append(row)
@@ -120,7 +127,7 @@ def over_seeds(rows: Iterable[Row], method: str, x: str, y: str) -> Points:
     for told in sorted(groups):
         per_seed = groups[told].values()
         xs, ys, survived = (
-            [mean(row.get(name, 1.0) for row in mine) for mine in per_seed] for name in (x, y, "survived")
+            [mean(row.get(name, 1.0) for row in each) for each in per_seed] for name in (x, y, "survived")
         )
         spreads: tuple[float, ...] = (std(xs), std(ys))
         if len(per_seed) == 1:
@@ -130,7 +137,11 @@ def over_seeds(rows: Iterable[Row], method: str, x: str, y: str) -> Points:
         columns.append((mean(xs), mean(ys), *spreads, mean(survived)))
     table = np.array(columns).reshape(-1, 5).T
     curve = not any(isinstance(told, str) for told in groups)
-    return Points(table[0], table[1], table[2], table[3], table[4], number_of_seeds(known), curve)
+    missing = len(
+        {(row["condition"], row["seed"]) for row in mine} - {(row["condition"], row["seed"]) for row in known}
+    )
+    seeds = number_of_seeds(known) + (f", {missing} more without a value" if missing else "")
+    return Points(table[0], table[1], table[2], table[3], table[4], seeds, curve)
 
 
 def curves_over_time(rows: list[Row]) -> dict[str, tuple[np.ndarray, np.ndarray]]:

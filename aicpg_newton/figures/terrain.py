@@ -15,8 +15,9 @@ from matplotlib.patches import Patch
 from aicpg_newton.evaluation.protocols import GAITS
 from aicpg_newton.evaluation.results import Row
 from aicpg_newton.evaluation.terrain_summaries import SAMPLE
-from aicpg_newton.figures.plotting import Style, mean, methods, number_of_seeds, std
+from aicpg_newton.figures.plotting import Style, mean, methods, number_of_seeds, of_how_many, std
 from aicpg_newton.robot.humanoid import CONTROL_DT
+from aicpg_newton.texts import number
 
 _PAPER_SPEED = {"walking": 1.5, "running": 3.0}  # [m/s]
 _SHADES = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.93, 256)))  # its end is too pale on white
@@ -94,7 +95,7 @@ def _told(rows: list[Row]) -> str:
 def _speed(condition: str) -> float:
     """Speed that a controller was trained for [m/s]; NaN where its condition is none."""
     try:
-        return float(condition)
+        return number(condition)
     except ValueError:
         return math.nan
 
@@ -138,7 +139,7 @@ def walking_and_running_figure(rows: list[Row]) -> Figure:
 
 def _draw_bar(axes: Axes, x: float, width: float, rows: list[Row], column: str, style: Style) -> None:
     """One bar with its value; a word where there is none."""
-    value, deviation = _mean_and_spread(rows, column)
+    value, deviation, known = _mean_and_spread(rows, column)
     if not math.isfinite(value):
         word = "fell at once" if rows else "not tested"
         axes.text(x, 0.02, word, rotation=90, ha="center", va="bottom", transform=axes.get_xaxis_transform())
@@ -149,15 +150,18 @@ def _draw_bar(axes: Axes, x: float, width: float, rows: list[Row], column: str, 
         **{"color": style.colour, "hatch": style.hatch, "edgecolor": "white", "ecolor": "black", "capsize": 4},
     )
     place = {"xytext": (0, 4), "textcoords": "offset points", "ha": "center"}
-    axes.annotate(f"{value:.2f}", (x, value + deviation), fontsize=8, **place)
+    axes.annotate(f"{value:.2f}\n{known}" if known else f"{value:.2f}", (x, value + deviation), fontsize=8, **place)
 
 
-def _mean_and_spread(rows: list[Row], column: str) -> tuple[float, float]:
-    """Mean over seeds, each the mean over its terrains, and their deviation; over terrains for a single seed."""
+def _mean_and_spread(rows: list[Row], column: str) -> tuple[float, float, str]:
+    """Mean over seeds, each the mean over its terrains, and their deviation; over terrains for a single seed.
+
+    The text says how many seeds have a value, where some have none.
+    """
     seeds = sorted({row["seed"] for row in rows})
     values = [mean(row[column] for row in rows if row["seed"] == seed) for seed in seeds]
     spread = std(values) if len(seeds) > 1 else std(row[column] for row in rows)
-    return mean(values), spread if math.isfinite(spread) else 0.0
+    return mean(values), spread if math.isfinite(spread) else 0.0, of_how_many(values)
 
 
 def _label(rows: list[Row], method: str) -> str:

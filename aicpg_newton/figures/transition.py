@@ -20,9 +20,11 @@ from aicpg_newton.figures.plotting import (
     mark_the_papers_transition,
     mean,
     methods,
+    of_how_many,
     say_if_empty,
 )
 from aicpg_newton.motion.figure import draw_stick_figures
+from aicpg_newton.robot import rotations
 from aicpg_newton.robot.humanoid import CONTROL_DT
 
 _HUMAN_FROUDE = (0.4, 0.6)
@@ -126,9 +128,10 @@ def _draw_changes(axes: Axes, found: list[dict[str, Any]], curves: dict, with_la
     """Lines where the gait changes, as the mean over seeds."""
     time, frequency = curves["time_s"][0], curves["frequency_hz"][0]
     for name, (label, line) in _CHANGES.items():
-        f = mean(each[name]["mean"] for each in found if each[name]["mean"] is not None)
+        changes = [math.nan if each[name]["mean"] is None else each[name]["mean"] for each in found]
+        f = mean(changes)
         if math.isfinite(f):
-            text = f"{label}: {f:.2f} Hz" if with_label else None
+            text = f"{label}: {f:.2f} Hz {of_how_many(changes)}".rstrip() if with_label else None
             axes.axvline(float(np.interp(f, frequency, time)), color="k", linestyle=line, linewidth=1, label=text)
 
 
@@ -143,10 +146,11 @@ def _draw_poses(axes: Axes, poses: list[dict[str, Any]]) -> None:
         return
     x = 0.95 * torch.arange(len(poses))
     height = torch.tensor([pose["height_m"] for pose in poses])
+    rotation = torch.tensor([pose["root_rotation"] for pose in poses])
     draw_stick_figures(
         axes,
         torch.stack((x, torch.zeros_like(x), height), dim=1),
-        torch.tensor([pose["root_rotation"] for pose in poses]),
+        rotations.normalised(rotation, rotation.new_tensor((0.0, 0.0, 0.0, 1.0))),
         torch.tensor([pose["joint_position"] for pose in poses]),
     )
     axes.set_xticks(x.tolist(), [f"{pose['time_s']:.1f} s\n{pose['frequency_hz']:.2f} Hz" for pose in poses])

@@ -28,6 +28,7 @@ _LARGEST = 1e6
 """No position [inches] and no angle [deg] is as large."""
 
 ROOT = "root"
+_COMMENT = re.compile(r"(?<!\S)#.*")
 _ROOT_ORDER = ["tx", "ty", "tz", "rx", "ry", "rz"]
 
 
@@ -129,11 +130,15 @@ def pose(skeleton: Skeleton, motion: Motion) -> Pose:
 
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Numbered lines of a text file split into words, without comments and empty lines; LF or CRLF."""
+    """Numbered lines of a text file split into words, without comments and empty lines; LF or CRLF.
+
+    A comment begins with a word that begins with ``#``: within a word it is part of it, as in the ``-1.#IND00`` that C
+    libraries of Windows print for what is not a number.
+    """
     if not path.is_file():
         raise UserError(f"there is no file {path}; give the path of an existing Acclaim file")
     lines = enumerate(re.split("\r\n|\n|\r", read_text(path)), start=1)
-    return [(place, words) for place, line in lines if (words := line.split("#")[0].split())]
+    return [(place, words) for place, line in lines if (words := _COMMENT.sub("", line).split())]
 
 
 def _numbers(words: list[str]) -> list[float]:

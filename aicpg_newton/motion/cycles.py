@@ -7,8 +7,9 @@ bin of a 1.2 s clip is 0.8 Hz wide), and the cycle averages whole strides and th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from aicpg_newton.errors import UserError
@@ -33,7 +34,11 @@ _LEG_JOINTS = [joint_index(f"{side}_{joint}") for side in ("right", "left") for 
 _RIGHT_HIP, _LEFT_HIP = joint_index("right_hip_y"), joint_index("left_hip_y")
 _SLOWEST, _FASTEST = 0.3, 3.0  # stride frequencies of people [Hz]
 _LEAST_SPEED = 0.2  # [m/s]
-_STEEPEST, _SIDEWAYS = 15.0, 45.0  # [deg]
+_STEEPEST, _SIDEWAYS, _MOST_TURN = 15.0, 45.0, 20.0  # [deg]
+_MOST_SLIDE = 0.12  # of a stance foot, as a share of the pelvis's speed; of CMU's clips at most 0.071
+_STANDING = 0.4  # below this share of the fast frames' speed somebody stands, or is about to
+_STEP = 0.5  # within this time speed is even [s]
+_SHORTEST_STAND = 0.1  # beyond what such a window smooths [s]
 _GLITCH = math.radians(6.0)
 _ROOT_MIRROR = (1.0, -1.0, 1.0, -1.0, 1.0, -1.0)  # x, y, z, roll, pitch, yaw under a reflection in y
 
@@ -152,22 +157,95 @@ def straighten(motion: RetargetedMotion, frequency: float) -> RetargetedMotion:
         rotations.about_axis(velocity.new_tensor((0.0, 1.0, 0.0)), slope), rotations.about_z(-heading)
     )
     every = turn.expand_as(motion.root_rotation)
-    return RetargetedMotion(
-        motion.source,
-        motion.angles,
-        rotations.rotate(every, motion.root_position),
-        rotations.multiply(every, motion.root_rotation),
-        motion.leg_length,
+    return replace(
+        motion,
+        root_position=rotations.rotate(every, motion.root_position),
+        root_rotation=rotations.multiply(every, motion.root_rotation),
+        balls=rotations.rotate(every.unsqueeze(1).expand(-1, 2, 4), motion.balls),
     )
 
 
-def _check_course(motion: RetargetedMotion, velocity: torch.Tensor) -> None:
-    """Refuse a clip that stands still, climbs, or goes another way than its pelvis faces.
+def _speed_over_ground(path: torch.Tensor, frames: int) -> torch.Tensor:
+    """Horizontal speed over so many frames around each [m/s], shapes [all frames, ..., 3] to [fewer frames, ...]."""
+    level = path[..., :2]
+    return (level[frames:] - level[:-frames]).norm(dim=-1) * (FRAME_RATE / frames)
+
+
+def _check_stands(motion: RetargetedMotion) -> None:
+    """Refuse a clip that begins or ends standing, and say how much to cut.
+
+    Raises:
+        UserError: It does.
+    """
+    window = round(_STEP * FRAME_RATE)
+    if len(motion.root_position) < 2 * window:
+        return
+    speed = _speed_over_ground(motion.root_position, window)
+    fast = float(speed.quantile(0.9))
+    if fast < _LEAST_SPEED:
+        return
+    moving = (speed >= _STANDING * fast).nonzero().squeeze(1)
+    slow = (int(moving[0]), len(speed) - 1 - int(moving[-1]))
+    ends = zip(("first", "last"), [frames / FRAME_RATE for frames in slow], strict=True)
+    cut = [f"its {name} {time + (1.0 - _STANDING) * _STEP:.1f} s" for name, time in ends if time >= _SHORTEST_STAND]
+    if cut:
+        raise UserError(f"{motion.source} does not walk or run from end to end; cut {' and '.join(cut)} off the clip")
+
+
+def _turn(motion: RetargetedMotion, frequency: float) -> float:
+    """How far a clip's course turns from its first frame to its last, or in between [deg].
+
+    The larger of how far the pelvis turns and how far the direction of progress over a stride does: a clip may turn and
+    turn back, or go round while it faces one way.
+    """
+    frames = len(motion.angles)
+    yaw = np.unwrap(rotations.yaw(motion.root_rotation).numpy())
+    steady = torch.linalg.lstsq(_gait_basis(frames, frequency, 2), torch.from_numpy(yaw).unsqueeze(1)).solution
+    stride = min(round(FRAME_RATE / frequency), frames - 1)
+    progress = motion.root_position[stride:, :2] - motion.root_position[:-stride, :2]
+    progress = progress[progress.norm(dim=1) * frequency > _LEAST_SPEED]
+    course = np.unwrap(torch.atan2(progress[:, 1], progress[:, 0]).numpy())
+    turned = float(np.ptp(course)) if len(course) else 0.0
+    return math.degrees(max(abs(float(steady[-1])) * frames / FRAME_RATE, turned))
+
+
+def _check_stance(motion: RetargetedMotion, speed: float) -> None:
+    """Refuse a clip whose feet never stand still on the ground.
+
+    In a quarter of the frames of a walk or a run, and more, the ball of one foot rests.
 
     Args:
         motion: The clip.
-        velocity: Its mean velocity [m/s], shape [3].
+        speed: Its mean speed [m/s].
+
+    Raises:
+        UserError: They never do.
     """
+    slide = float(_speed_over_ground(motion.balls, 2).amin(dim=1).quantile(0.25))
+    if slide > _MOST_SLIDE * speed:
+        raise UserError(
+            f"the feet of {motion.source} slide over the ground at {slide:.2f} m/s or more while the pelvis goes at"
+            f" {speed:.2f} m/s; give a clip over ground, not of a treadmill, whose root position and bones have the"
+            " same unit and scale"
+        )
+
+
+def _check_course(motion: RetargetedMotion, frequency: float) -> None:
+    """Refuse a clip that stands still, climbs, turns, slides, or goes another way than its pelvis faces.
+
+    Args:
+        motion: The clip.
+        frequency: Its stride frequency [Hz].
+
+    Raises:
+        UserError: It does one of these.
+    """
+    turn = _turn(motion, frequency)
+    if turn > _MOST_TURN:
+        raise UserError(
+            f"{motion.source} turns by {turn:.0f} degrees; give a clip that goes straight ahead, or cut one"
+        )
+    velocity = _steady_velocity(motion.root_position, frequency)
     speed = float(velocity.norm())
     if speed < _LEAST_SPEED:
         raise UserError(
@@ -185,6 +263,7 @@ def _check_course(motion: RetargetedMotion, velocity: torch.Tensor) -> None:
             f"the pelvis of {motion.source} faces {away:.0f} degrees away from where it goes; give a clip that walks or"
             " runs straight forwards"
         )
+    _check_stance(motion, speed)
 
 
 def _average_stride(values: torch.Tensor, frequency: float) -> torch.Tensor:
@@ -219,10 +298,11 @@ def gait_cycle(motion: RetargetedMotion, name: str) -> GaitCycle:
         right-minus-left hip flexion crosses zero upwards, and pose(phase + pi) is the mirror image of pose(phase).
 
     Raises:
-        UserError: No stride is found in the clip, or it does not go forwards on a level floor.
+        UserError: No stride is found in the clip, or it does not go straight forwards over a level floor throughout.
     """
+    _check_stands(motion)
     frequency = stride_frequency(motion)
-    _check_course(motion, _steady_velocity(motion.root_position, frequency))
+    _check_course(motion, frequency)
     straight = straighten(motion, frequency)
     velocity = _steady_velocity(straight.root_position, frequency)
     position = straight.root_position - frame_times(len(straight.angles)).unsqueeze(-1) * velocity

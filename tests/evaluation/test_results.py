@@ -9,7 +9,7 @@ import pytest
 
 from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import results
-from aicpg_newton.evaluation.protocols import SPEED, SWEEP
+from aicpg_newton.evaluation.protocols import PROTOCOLS, SPEED, SWEEP
 
 CONTROLLERS = [{"method": "AI-CPG", "seed": 1, "task": "flat", "checkpoints": [{"file": "model_9.pt", "sha256": "ab"}]}]
 
@@ -29,7 +29,13 @@ def write(folder: Path, rows: list[results.Row]) -> None:
 def test_what_is_written_is_read(tmp_path: Path):
     """The columns in their order, six digits, and empty cells where a number is missing."""
     folder = tmp_path / "new" / "results"
-    write(folder, [row(speed_mps=1.23456789), row(cost_of_transport=math.nan, froude=None, reason="no motion; no way")])
+    write(
+        folder,
+        [
+            row(speed_mps=1.23456789),
+            row(frequency_hz=0.6, cost_of_transport=math.nan, froude=None, reason="no motion; no way"),
+        ],
+    )
     with (folder / "sweep.csv").open() as file:
         lines = list(csv.reader(file))
     assert tuple(lines[0]) == (*SWEEP.columns, *SWEEP.further_columns) and len(lines) == 3
@@ -132,3 +138,44 @@ def test_bad_folders(tmp_path: Path):
     (tmp_path / "speed.csv").unlink()
     with pytest.raises(UserError, match="cannot be read"):
         results.prepare(tmp_path, ["speed"], CONTROLLERS)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"survived": "7"}, "row 2 has a survived of 7, but shares are from 0 to 1"),
+        ({"frequency_hz": "-0.8"}, "row 2 has a frequency_hz of -0.8, but frequencies are above 0"),
+        ({"falls_per_minute": "-1"}, "row 2 has a falls_per_minute of -1, which is never negative"),
+        ({"speed_mps": ""}, "row 2 has no speed_mps and no reason why"),
+        ({"frequency_hz": ""}, "row 2 has neither a frequency_hz nor a condition"),
+        ({"frequency_hz": "0.5"}, "row 2 is of the same as row 1"),
+        (dict.fromkeys(SWEEP.columns, ""), "row 2 does not say of which method and seed it is"),
+        ({"reason": "", "method": ""}, "row 2 does not say of which method and seed it is"),
+    ],
+)
+def test_tables_that_were_edited_are_refused(tmp_path: Path, changes: dict[str, str], message: str):
+    """Rows that no evaluation writes, by their number; they were drawn without a word."""
+    write(tmp_path, [row(), row(frequency_hz=0.6, speed_mps_ci95=0.1)])
+    assert len(results.read_table(tmp_path, "sweep")) == 2
+    path = tmp_path / "sweep.csv"
+    with path.open(newline="") as file:
+        reader = csv.DictReader(file)
+        columns, rows = reader.fieldnames or [], list(reader)
+    rows[1] |= changes
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    with pytest.raises(UserError, match=message):
+        results.read_table(tmp_path, "sweep")
+
+
+def test_no_table_in_the_repository_is_taken_for_edited(monkeypatch: pytest.MonkeyPatch):
+    """Whatever version wrote it."""
+    monkeypatch.setattr(results, "read_description", lambda folder, name: {})
+    root = Path(__file__).resolve().parents[2]
+    tables = [path for folder in ("docs", "assets") for path in (root / folder).rglob("*.csv")]
+    tables = [path for path in tables if path.stem in PROTOCOLS]
+    assert len(tables) > 20
+    for path in tables:
+        assert results.read_table(path.parent, path.stem)

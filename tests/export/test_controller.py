@@ -1,6 +1,7 @@
 """The exported controller against the package."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,13 +83,23 @@ def recorded() -> tuple[Values, Values, torch.Tensor]:
 
 
 @pytest.fixture(scope="module")
-def answered(exported: Path, recorded: tuple[Values, Values, torch.Tensor]) -> Values:
-    """What ONNX Runtime makes of the recorded states."""
+def session(exported: Path):
+    """The exported controller in ONNX Runtime."""
     import onnxruntime
 
-    session = onnxruntime.InferenceSession(exported / "controller.onnx")
-    answers = session.run(list(OUTPUTS), {name: each.numpy() for name, each in recorded[0].items()})
+    return onnxruntime.InferenceSession(exported / "controller.onnx")
+
+
+def ask(session, inputs: Values) -> Values:
+    """What ONNX Runtime makes of inputs."""
+    answers = session.run(list(OUTPUTS), {name: each.numpy() for name, each in inputs.items()})
     return {name: torch.from_numpy(answer) for name, answer in zip(OUTPUTS, answers, strict=True)}
+
+
+@pytest.fixture(scope="module")
+def answered(session, recorded: tuple[Values, Values, torch.Tensor]) -> Values:
+    """What ONNX Runtime makes of the recorded states."""
+    return ask(session, recorded[0])
 
 
 def test_torques_are_those_of_the_package(recorded: tuple[Values, Values, torch.Tensor], answered: Values):
@@ -112,6 +123,42 @@ def test_onnx_runtime_and_torch_agree(recorded: tuple[Values, Values, torch.Tens
     for name, value in zip(OUTPUTS, controller(*recorded[0].values()), strict=True):
         largest = float(value.abs().max())
         torch.testing.assert_close(answered[name], value, rtol=0.0, atol=1e-5 * largest, msg=name)
+
+
+@pytest.mark.parametrize("name", INPUTS)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 3e38, -3e38])
+def test_outputs_are_finite_for_any_input(session, recorded: tuple[Values, Values, torch.Tensor], name: str, value):
+    """One number of one input, or all of it; the other robots of the call get the same bits as without."""
+    inputs = recorded[0]
+    clean = ask(session, inputs)
+    for place in (0, slice(None)):
+        broken = {key: each.clone() for key, each in inputs.items()}
+        broken[name].view(len(broken[name]), -1)[0, place] = value
+        answers = ask(session, broken)
+        for output, answer in answers.items():
+            assert torch.isfinite(answer).all(), output
+            assert torch.equal(answer[1:], clean[output][1:]), output
+
+
+def test_everything_broken_at_once_is_finite(session):
+    """And what is fed back, phase and reflex torque, is sound again for the next sample."""
+    broken = {name: torch.full((1, *shape), math.nan) for name, (shape, _) in INPUTS.items()}
+    answers = ask(session, broken)
+    assert all(torch.isfinite(answer).all() for answer in answers.values())
+    assert 0.0 <= float(answers["next_phase"]) < 2 * math.pi
+
+
+def test_a_quaternion_of_another_length_is_the_same_attitude(session, recorded: tuple[Values, Values, torch.Tensor]):
+    """Rounding and an estimator's drift change nothing; those of length 0 are upright and face the heading."""
+    inputs = recorded[0]
+    clean = ask(session, inputs)["reflex_torque"]
+    for length in (1e-15, 0.5, 1.01, 1.1, 2.0, 1e30):
+        answer = ask(session, {**inputs, "root_rotation": inputs["root_rotation"] * length})["reflex_torque"]
+        torch.testing.assert_close(answer, clean, rtol=0.0, atol=1e-3)
+    upright = rotations.about_z(inputs["heading"]).roll(1, dims=1)
+    nothing = ask(session, {**inputs, "root_rotation": torch.zeros_like(upright)})
+    expected = ask(session, {**inputs, "root_rotation": upright})
+    assert torch.equal(nothing["reflex_torque"], expected["reflex_torque"])
 
 
 def test_the_file_says_what_it_is(exported: Path):

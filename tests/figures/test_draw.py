@@ -11,8 +11,8 @@ from aicpg_newton.errors import UserError
 from aicpg_newton.evaluation import results
 from aicpg_newton.evaluation.protocols import GAITS, PROTOCOLS, SWEEP
 from aicpg_newton.figures.draw import draw_all, human_walking_cost
-from aicpg_newton.figures.plotting import methods, over_seeds
-from aicpg_newton.figures.terrain import nearest_to_the_paper
+from aicpg_newton.figures.plotting import methods, of_how_many, over_seeds
+from aicpg_newton.figures.terrain import nearest_to_the_paper, walking_and_running_figure
 from aicpg_newton.figures.transition import transition_figure
 
 DIAGRAM = {"stride_frequency_hz": 0.75, "duty_factor": 0.6, "flight_ratio": 0.0, "reason": ""}
@@ -232,7 +232,7 @@ def test_means_over_seeds_weigh_every_seed_alike():
         [2.0],
         [4.0],
         [2.0],
-        "2 seeds",
+        "2 seeds, 1 more without a value",
     )
 
 
@@ -249,3 +249,15 @@ def test_human_walking_costs_least_at_the_speed_people_choose():
     speed = np.linspace(0.6, 2.0, 1401)
     cost = human_walking_cost(speed)
     assert speed[cost.argmin()] == pytest.approx(1.233, abs=2e-3) and cost.min() == pytest.approx(0.334, abs=1e-3)
+
+
+def test_figures_say_how_many_seeds_have_no_value(tmp_path: Path):
+    """One of three trainings fell everywhere: the means are over the others, and the labels say so."""
+    folders = [made_up(tmp_path / "a", "AI-CPG", (0, 1)), made_up(tmp_path / "b", "AI-CPG", (2,), fallen=True)]
+    rows = results.read_together(folders, "sweep")
+    points = over_seeds(rows, "AI-CPG", "speed_mps", "cost_of_transport")
+    assert points.seeds == "2 seeds, 1 more without a value" and np.isfinite(points.y).all()
+    assert of_how_many([1.0, math.nan, 2.0]) == "(2 of 3 seeds)" and of_how_many([1.0]) == ""
+    figure = walking_and_running_figure(results.read_together(folders, "terrain"))
+    assert any("(2 of 3 seeds)" in text.get_text() for axes in figure.axes for text in axes.texts)
+    draw_all(folders, tmp_path)

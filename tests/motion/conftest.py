@@ -76,19 +76,38 @@ class Subject:
         return path
 
     def stride_frames(
-        self, frequency: float, seconds: float, *, swing: float = 25.0, speed: float = 40.0, rise: float = 0.0
+        self,
+        frequency: float,
+        seconds: float,
+        *,
+        swing: float = 25.0,
+        speed: float | None = None,
+        scale: float = 1.0,
+        rise: float = 0.0,
     ) -> list[dict[str, tuple[float, ...]]]:
-        """A gait: hips swing about 10 degrees of flexion, knees bend in swing, the root moves ahead (ASF lengths)."""
+        """A gait: hips swing about 10 degrees of flexion, knees bend in swing, the root moves ahead (ASF lengths).
+
+        The root goes as the foot that is left behind stands still, so many times as far (``scale``), or at a ``speed``.
+        """
         frames = []
+        place, before = 0.0, None
         for index in range(round(seconds * FRAME_RATE)):
             time = index / FRAME_RATE
-            frame: dict[str, tuple[float, ...]] = {"root": (0.0, 17.0 + rise * time, speed * time, 0.0, 0.0, 0.0)}
+            frame: dict[str, tuple[float, ...]] = {}
+            balls = []
             for side, shift in (("r", 0.0), ("l", math.pi)):
                 phase = 2 * math.pi * frequency * time + shift
                 hip = -10.0 - swing * math.sin(phase) - 0.1 * swing * math.cos(2 * phase)
+                knee = 20.0 + swing * 0.7 * (1.0 + math.cos(phase))
                 frame[f"{side}femur"] = (hip, 0.0, 20.0 if side == "r" else -20.0)
-                frame[f"{side}tibia"] = (20.0 + swing * 0.7 * (1.0 + math.cos(phase)),)
-            frames.append(frame)
+                frame[f"{side}tibia"] = (knee,)
+                thigh, shin = math.radians(hip), math.radians(hip + knee)
+                balls.append(2.0 * math.cos(shin) - self.thigh * math.sin(thigh) - self.shin * math.sin(shin))
+            if before is not None:
+                place += scale * max(then - now for then, now in zip(before, balls, strict=True))
+            before = balls
+            ahead = place if speed is None else speed * time
+            frames.append(frame | {"root": (0.0, 17.0 + rise * time, ahead, 0.0, 0.0, 0.0)})
         return frames
 
 

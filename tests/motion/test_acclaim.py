@@ -69,6 +69,12 @@ def test_a_cut_last_frame_is_left_out_with_a_warning(subject):
         ("rtibia 0.000000", "rtibia 0.0 1.0", "bone rtibia has 2 values"),
         ("rtibia 0.000000", "rtibia nan", "no finite number"),
         ("rtibia 0.000000", "rtibia x1", "no finite number"),
+        ("rtibia 0.000000", "rtibia -1.#IND00", "no finite number: '-1.#IND00' is no number"),
+        ("rtibia 0.000000", "rtibia 1.#QNAN", "no finite number: '1.#QNAN' is no number"),
+        ("rtibia 0.000000", "rtibia 1.#INF", "no finite number"),
+        ("rtibia 0.000000", "rtibia 0.0#", "no finite number"),
+        ("rtibia 0.000000", "rtibia 1,5", "no finite number"),
+        ("rtibia 0.000000", "rtibia -nan(ind)", "no finite number"),
         ("rtibia 0.000000", "tail 0.0", "tail is unknown to subject.asf"),
         ("rtibia 0.000000", "rtibia", "bone rtibia has 0 values"),
     ],
@@ -81,6 +87,17 @@ def test_a_broken_middle_names_its_line(subject, old, new, message):
     path.write_text(text[:at] + text[at:].replace(old, new, 1))
     with pytest.raises(UserError, match=rf"bad.amc line \d+: .*{message}"):
         read_motion(path, read_skeleton(subject.skeleton))
+
+
+def test_a_comment_begins_with_a_word(subject):
+    """On a line of its own or behind values, in skeletons too."""
+    text = subject.motion_text([{}, {}])
+    path = subject.folder / "a.amc"
+    path.write_text(
+        text.replace("rtibia 0.000000", "rtibia 0.000000 # of the knee, 1.#IND").replace("2\nroot", "#\n2\nroot")
+    )
+    subject.skeleton.write_text(subject.skeleton_text().replace("length 7.0", "length 7.0\t#inches"))
+    assert len(read_motion(path, read_skeleton(subject.skeleton)).values["root"]) == 2
 
 
 def test_a_nan_in_the_last_frame_is_not_taken_for_a_cut(subject):
@@ -109,6 +126,9 @@ def test_what_is_no_motion_is_refused(subject, text):
         ("order TX TY TZ", "order RX RY RZ"),
         ("length 0.45", "length 0"),
         ("length 7.0", "length nan"),
+        ("length 7.0", "length 7.#IND"),
+        ("length 0.45", "length 1.#QNAN"),
+        ("direction 0.000000000 1.000000000", "direction 0.#IND00 1.000000000"),
         ("    root thorax\n", ""),
         ("dof rx", "dof l"),
         ("direction 0.000000000 1.000000000 0.000000000", "direction 0 0 0"),

@@ -13,12 +13,17 @@ from aicpg_newton.motion.cycles import gait_cycle
 from aicpg_newton.motion.retarget import flat_soles, retarget
 
 
-def walk(subject, **changes):
+def clip_of(subject, frames):
     """A motion on the skeleton, as the command reads it."""
     skeleton = read_skeleton(subject.skeleton)
-    motion = read_motion(subject.motion("walk.amc", subject.stride_frames(0.9, 2.5, **changes)), skeleton)
+    motion = read_motion(subject.motion("walk.amc", frames), skeleton)
     check_clip(motion)
     return retarget(skeleton, motion, flat_soles(skeleton, motion))
+
+
+def walk(subject, **changes):
+    """A walk that goes otherwise than people do."""
+    return clip_of(subject, subject.stride_frames(0.9, 2.5, **changes))
 
 
 def turned(frames, degrees: float):
@@ -46,31 +51,77 @@ def test_a_clip_goes_forwards_on_a_level_floor(subject, speed: float, rise: floa
         gait_cycle(walk(subject, speed=speed, rise=rise), "walk")
 
 
-@pytest.mark.parametrize(("degrees", "refused"), [(30.0, False), (90.0, True), (-90.0, True), (180.0, True)])
-def test_the_pelvis_faces_where_it_goes(subject, degrees: float, refused: bool):
+@pytest.mark.parametrize("degrees", [90.0, -90.0, 180.0])
+def test_the_pelvis_faces_where_it_goes(subject, degrees: float):
     """A crossing of the laboratory at an angle is none of it: there both turn."""
-    skeleton = read_skeleton(subject.skeleton)
     frames = turned(subject.stride_frames(0.9, 2.5), degrees)
-    motion = read_motion(subject.motion("walk.amc", frames), skeleton)
-    clip = retarget(skeleton, motion, flat_soles(skeleton, motion))
-    if refused:
-        with pytest.raises(UserError, match=rf"faces {abs(degrees):.0f} degrees away"):
-            gait_cycle(clip, "walk")
-    else:
-        gait_cycle(clip, "walk")
+    with pytest.raises(UserError, match=rf"faces {abs(degrees):.0f} degrees away"):
+        gait_cycle(clip_of(subject, frames), "walk")
+
+
+def bent(frames, headings):
+    """Frames of a subject whose steps go in these directions [deg], as it faces."""
+    x = z = before = 0.0
+    turned_frames = []
+    for frame, heading in zip(frames, headings, strict=True):
+        _, y, ahead, *_ = frame["root"]
+        x += (ahead - before) * math.sin(math.radians(heading))
+        z += (ahead - before) * math.cos(math.radians(heading))
+        before = ahead
+        turned_frames.append({**frame, "root": (x, y, z, 0.0, heading, 0.0)})
+    return turned_frames
 
 
 def test_a_crossing_at_an_angle_is_taken(subject):
     """Root and heading turned together."""
-    angle = math.radians(70.0)
-    frames = [
-        {**frame, "root": (z * math.sin(angle), y, z * math.cos(angle), 0.0, 70.0, 0.0)}
-        for frame in subject.stride_frames(0.9, 2.5)
-        for _, y, z, *_ in [frame["root"]]
-    ]
-    skeleton = read_skeleton(subject.skeleton)
-    motion = read_motion(subject.motion("walk.amc", frames), skeleton)
-    assert gait_cycle(retarget(skeleton, motion, flat_soles(skeleton, motion)), "walk").gait.speed > 1.0
+    frames = bent(subject.stride_frames(0.9, 2.5), [70.0] * 300)
+    assert gait_cycle(clip_of(subject, frames), "walk").gait.speed > 1.0
+
+
+@pytest.mark.parametrize("seconds", [1.8, 2.5, 5.0])
+@pytest.mark.parametrize("degrees", [10.0, 40.0, -90.0, 360.0])
+def test_a_clip_that_turns_is_refused_with_its_angle(subject, degrees: float, seconds: float):
+    """Whether it is a stride long or five; ten degrees are within what people do on a straight walk."""
+    frames = subject.stride_frames(0.9, seconds)
+    clip = clip_of(subject, bent(frames, [degrees * index / len(frames) for index in range(len(frames))]))
+    if degrees == 10.0:
+        gait_cycle(clip, "walk")
+        return
+    with pytest.raises(UserError, match=r"walk turns by \d+ degrees; give a clip that goes straight ahead") as refusal:
+        gait_cycle(clip, "walk")
+    assert float(str(refusal.value).split()[3]) == pytest.approx(abs(degrees), rel=0.1)
+
+
+def test_a_clip_that_turns_and_turns_back_is_refused(subject):
+    """At its end it faces where it faced at its beginning."""
+    frames = subject.stride_frames(0.9, 6.0)
+    clip = clip_of(
+        subject, bent(frames, [60.0 * math.sin(math.pi * index / len(frames)) for index in range(len(frames))])
+    )
+    with pytest.raises(UserError, match=r"walk turns by \d+ degrees"):
+        gait_cycle(clip, "walk")
+
+
+@pytest.mark.parametrize("scale", [0.3937, 0.7, 1.4, 2.54])
+def test_a_stance_foot_stands_still(subject, scale: float):
+    """A root in other units or another scale than the bones, and a treadmill that moves less than it says."""
+    match = r"the feet of walk slide over the ground at \d\.\d\d m/s or more while the pelvis goes at \d\.\d\d m/s"
+    with pytest.raises(UserError, match=match):
+        gait_cycle(walk(subject, scale=scale), "walk")
+
+
+@pytest.mark.parametrize(("before", "after"), [(1.0, 0.0), (0.0, 0.6), (0.5, 1.0)])
+def test_a_clip_that_begins_or_ends_standing_is_told_what_to_cut(subject, before: float, after: float):
+    """In seconds; what is cut there walks on."""
+    frames = subject.stride_frames(0.9, 3.5)
+    first, last = round(120 * before), round(120 * after)
+    stood = [frames[0]] * first + frames + [frames[-1]] * last
+    with pytest.raises(UserError, match="walk does not walk or run from end to end; cut its") as refusal:
+        gait_cycle(clip_of(subject, stood), "walk")
+    told = [float(word) for word in str(refusal.value).split() if word[0].isdigit()]
+    assert told == pytest.approx([time for time in (before, after) if time], abs=0.25)
+    kept = stood[round(120 * told[0]) if before else 0 : len(stood) - (round(120 * told[-1]) if after else 0)]
+    gait_cycle(clip_of(subject, kept), "walk")
 
 
 def test_byte_order_marks_and_line_ends_do_not_matter(subject):
@@ -164,7 +215,7 @@ def test_the_command_checks_its_clips(subject):
     settings = Fit(
         skeleton=subject.skeleton,
         walk=subject.motion("walk.amc", subject.stride_frames(0.9, 2.5, speed=-40.0)),
-        run=subject.motion("run.amc", subject.stride_frames(1.35, 1.5, speed=100.0)),
+        run=subject.motion("run.amc", subject.stride_frames(1.35, 1.5)),
         out=subject.folder / "net.pt",
     )
     with pytest.raises(UserError, match="the pelvis of walk faces 180 degrees away"):

@@ -79,7 +79,9 @@ def test_the_cycle_is_closed_symmetric_and_aligned(subject):
     _, cosine, sine = fourier_series(flexion, 1).squeeze(-1).tolist()
     assert sine == pytest.approx(math.radians(50), rel=0.02)
     assert abs(cosine) < 1e-4
-    assert cycle.gait.speed == pytest.approx(40.0 * 0.0254 / 0.45 * motion.leg_ratio, rel=1e-3)
+    strides = round(2 * 120.0 / 0.93)
+    progress = float((motion.root_position[strides] - motion.root_position[0]).norm())
+    assert cycle.gait.speed == pytest.approx(0.5 * 0.93 * progress * motion.leg_ratio, rel=0.01)
     step = (cycle.angles.roll(-1, 0) - cycle.angles).abs()
     assert step[-1].max() <= step[:-1].max()  # no jump where the cycle closes
     assert math.isnan(cycle.gait.fit_error)
@@ -101,8 +103,8 @@ def test_root_series_has_the_form_a_gait_asks_for(subject):
 
 def test_a_sloping_floor_is_levelled(subject):
     """A path rising by a tenth comes out level, along x, and the pelvis is pitched by the slope (down: positive)."""
-    flat = synthetic(subject, 0.93, 2.9)
-    rising = synthetic(subject, 0.93, 2.9, rise=4.0)
+    flat = synthetic(subject, 0.93, 2.9, speed=40.0)
+    rising = synthetic(subject, 0.93, 2.9, speed=40.0, rise=4.0)
     level = straighten(rising, 0.93)
     length = (level.root_position[-1] - level.root_position[0]).tolist()
     assert abs(length[2]) < 1e-6

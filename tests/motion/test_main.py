@@ -20,7 +20,7 @@ def settings(subject):
     return Fit(
         skeleton=subject.skeleton,
         walk=subject.motion("walk.amc", subject.stride_frames(0.9, 2.5)),
-        run=subject.motion("run.amc", subject.stride_frames(1.35, 1.5, speed=100.0)),
+        run=subject.motion("run.amc", subject.stride_frames(1.35, 1.5)),
         out=subject.folder / "net.pt",
     )
 
