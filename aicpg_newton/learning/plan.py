@@ -12,7 +12,7 @@ import torch
 from aicpg_newton.device import Compile, resolve_device, resolve_learner_device
 from aicpg_newton.engines import engine_name
 from aicpg_newton.env.registry import task_from_dict
-from aicpg_newton.env.task import Task
+from aicpg_newton.env.task import ReflexTask, Task
 from aicpg_newton.errors import UserError
 from aicpg_newton.gait.cpg import DEFAULT_PATTERN, PatternNetwork
 from aicpg_newton.learning import checkpoint
@@ -130,14 +130,18 @@ def plan_of(task: Task, options: RunOptions) -> Plan:
 def with_networks_of(task: Task, start_from: Path) -> Task:
     """A task whose networks are built as those of a checkpoint, to begin a new run with them.
 
-    The scale of the reward is the checkpoint's too: its critic's values are in units of it.
+    The scale of the reward is the checkpoint's too: its critic's values are in units of it. So is what an action does
+    (:class:`~aicpg_newton.env.task.Reflex`), where both have a reflex.
 
     Raises:
         UserError: The checkpoint cannot be read, or is of another version.
     """
     own = task_of(start_from)
     names = ("network", "hidden_sizes", "critic_hidden_sizes", "activation", "reward_scale")
-    return replace(task, learning=replace(task.learning, **{name: getattr(own.learning, name) for name in names}))
+    learning = replace(task.learning, **{name: getattr(own.learning, name) for name in names})
+    if isinstance(task, ReflexTask) and isinstance(own, ReflexTask):
+        return replace(task, learning=learning, reflex=own.reflex)
+    return replace(task, learning=learning)
 
 
 def task_of(resume: Path) -> Task:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from aicpg_newton.env.registry import get_task
+from aicpg_newton.env.task import ReflexTask
 from aicpg_newton.errors import UserError
 from aicpg_newton.learning import checkpoint, plan
 from aicpg_newton.learning.plan import RunOptions, task_of, with_networks_of
@@ -13,16 +14,17 @@ from aicpg_newton.learning.training import train
 
 
 def test_a_new_run_builds_its_networks_as_those_it_begins_with():
-    """The shipped network is of the first version, an ordinary one; all other settings are today's."""
-    plain = get_task("uneven")
-    found = with_networks_of(plain, checkpoint.shipped("flat"))
-    own = task_of(checkpoint.shipped("flat"))
+    """That network is of the first version, an ordinary one with torques in units of the limit; the rest is today's."""
+    plain = get_task("flat")
+    found, own = (with_networks_of(plain, checkpoint.shipped("uneven")), task_of(checkpoint.shipped("uneven")))
+    assert isinstance(plain, ReflexTask) and isinstance(found, ReflexTask) and isinstance(own, ReflexTask)
     assert found.learning.network == own.learning.network
     assert found.learning.hidden_sizes == own.learning.hidden_sizes
     assert found.learning.reward_scale == own.learning.reward_scale == 0.1  # the critic's unit
+    assert found.reflex == own.reflex and own.reflex.unit == "limit" != plain.reflex.unit
     names = ("network", "hidden_sizes", "activation", "reward_scale")
     kept = {name: getattr(plain.learning, name) for name in names}
-    assert replace(found, learning=replace(found.learning, **kept)) == plain
+    assert replace(found, learning=replace(found.learning, **kept), reflex=plain.reflex) == plain
 
 
 @pytest.mark.parametrize(
