@@ -6,10 +6,7 @@ import errno
 import io
 import os
 import sys
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from _typeshed import WriteableBuffer
+from typing import Any
 
 _GONE = {errno.EPIPE, errno.EIO}
 """The reader of a pipe has ended, or the terminal has been closed."""
@@ -30,7 +27,7 @@ class _Outlet(io.RawIOBase):
     def isatty(self) -> bool:
         return os.isatty(self._descriptor)
 
-    def write(self, data: WriteableBuffer, /) -> int:
+    def write(self, data: Any, /) -> int:
         try:
             return os.write(self._descriptor, data)
         except OSError as error:

@@ -115,7 +115,7 @@ def brought_up_to_date(content: dict[str, Any]) -> dict[str, Any]:
     beside it; settings of other methods, which every task used to have, and terms that are gone are left out.
     """
     content = dict(content)
-    learning = dict(content.get("learning") or {})
+    learning = dict(_table(content, "learning"))
     if "adaptive_learning_rate" in learning:  # the schedule's name until there were three
         learning["learning_rate_schedule"] = "minibatch" if learning.pop("adaptive_learning_rate") else "fixed"
     rewards = content.get("rewards")
@@ -137,17 +137,24 @@ def brought_up_to_date(content: dict[str, Any]) -> dict[str, Any]:
         content.setdefault("drives", "pattern")
         if isinstance(content.get("imitation"), dict):
             content["imitation"] = {"loss": "least_squares", **content["imitation"]}
-    reflex, energy = content.get("reflex"), (content.get("rewards") or {}).get("action_energy")
-    if isinstance(reflex, dict):
-        content["reflex"] = {"unit": "limit", **reflex}
-    if isinstance(energy, dict) and not energy.get("parameters"):
-        content["rewards"] = {**content["rewards"], "action_energy": {**energy, "parameters": {"velocity_scale": 0.1}}}
+    if isinstance(content.get("reflex"), dict):
+        content["reflex"] = {"unit": "limit", **content["reflex"]}
     if isinstance(content.get("rewards"), dict):
-        content["rewards"] = {name: term for name, term in content["rewards"].items() if name not in _DROPPED}
+        terms = {name: term for name, term in content["rewards"].items() if name not in _DROPPED}
+        energy = terms.get("action_energy")
+        if isinstance(energy, dict) and not energy.get("parameters"):
+            terms["action_energy"] = {**energy, "parameters": {"velocity_scale": 0.1}}
+        content["rewards"] = terms
     if isinstance(content.get("learning"), dict):
         constant = {"final_kl": learning["desired_kl"]} if "desired_kl" in learning else {}
         content["learning"] = {**_BEFORE, **constant, **learning}
     return content
+
+
+def _table(content: dict[str, Any], name: str) -> dict[str, Any]:
+    """A part of the content; empty where it is not there or is no table, which is refused later, by its name."""
+    part = content.get(name)
+    return part if isinstance(part, dict) else {}
 
 
 _BEFORE = {

@@ -139,7 +139,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         main(ClaimOptions(results=(docs / "flat_20_million",)))
     with pytest.raises(UserError, match="two of the folders hold sweep results of AI-CPG, seed 0; give one at a time"):
         main(ClaimOptions(results=(docs / "seeds", docs / "flat_20_million")))
-    uneven = main(ClaimOptions(results=(docs.parent / "assets" / "policies" / "uneven_baselines_evaluation",)))
+    uneven = main(ClaimOptions(results=(docs / "more_seeds_uneven_0",)))
     printed = capsys.readouterr().out
     assert len(printed.splitlines()) == 4 + len(uneven) and "| share that never fell |" in printed
     with pytest.raises(UserError, match=r"there is no sweep.csv and no terrain.csv in"):
