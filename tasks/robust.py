@@ -6,7 +6,7 @@ Not in the paper, whose tasks are ``flat`` and ``uneven``; ``docs/robust.md`` sa
 from __future__ import annotations
 
 from aicpg_newton.engines.terrain import Ground
-from aicpg_newton.env.task import Frequencies, Pushes, Task
+from aicpg_newton.env.task import Frequencies, Pushes, Task, Termination
 
 
 def robust() -> Task:
@@ -19,4 +19,5 @@ def robust() -> Task:
         ground=Ground(height_range=0.12, levels=7, level_strip=True, length=160.0, width=63.0),
         frequencies=Frequencies(minimum=0.65, maximum=1.45, change_interval=4.0, change_rate=0.25, jumps=0.1),
         pushes=Pushes(force=200.0, interval=2.0, grow_with_level=True),
+        termination=Termination(maximum_heading=57.0),  # pushed robots that walk slowly turn away half as often
     )
