@@ -46,8 +46,8 @@ def _refuse_other_encodings(words: Iterable[str]) -> None:
 def run_command(command: Callable[[], object], *, alone: bool = True) -> None:
     """Run a command line; a :class:`UserError` becomes one line on stderr and exit status 2, without a traceback.
 
-    Letters that the terminal does not have are spelled out, as those of a path in another encoding. The work goes on
-    when nobody reads its output any more.
+    Letters that the terminal does not have are spelled out, as those of a path in another encoding. The command
+    continues when its output pipe or terminal is closed.
 
     Args:
         command: What is to be done.
@@ -56,7 +56,7 @@ def run_command(command: Callable[[], object], *, alone: bool = True) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    if not {"-h", "--help"} & set(sys.argv):  # which nobody has to read to its end
+    if not {"-h", "--help"} & set(sys.argv):  # a closed pipe (`| head`) ends the help
         console.outlive_readers()
     who = ""
     try:

@@ -1,4 +1,4 @@
-"""Commands whose output nobody reads any more: they go on, and say so on stderr."""
+"""Commands whose output pipe or terminal is closed: they continue, and say so on stderr."""
 
 import os
 import subprocess
@@ -55,11 +55,11 @@ def test_the_reader_of_stderr_goes(tmp_path: Path):
     """Progress bars and warnings are no reason to stop either."""
     status, said = run([str(tmp_path / "file")], "stderr")
     assert status == 0 and (tmp_path / "file").read_text() == "saved"
-    assert said.endswith("iteration 9999\n") and "Nobody" not in said
+    assert said.endswith("iteration 9999\n") and "reader of the output" not in said
 
 
 def test_help_is_not_read_to_its_end(tmp_path: Path):
     """It ends without a word, as other programs do."""
     status, said = run([str(tmp_path / "file"), "--help"], "stdout")
-    assert status == 1 and "Nobody" not in said and "Traceback" not in said
+    assert status == 1 and "reader of the output" not in said and "Traceback" not in said
     assert not (tmp_path / "file").exists()

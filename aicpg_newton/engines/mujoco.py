@@ -115,7 +115,7 @@ class MujocoEngine:
         self._inputs: _Array = np.zeros((num_envs, physics.substeps, mujoco.mj_stateSize(self.model, _INPUT)))
         self._trajectory: _Array = np.zeros((num_envs, physics.substeps, rest.size))
         self._readings: _Array = np.zeros((num_envs, physics.substeps, self.model.nsensordata))
-        self._before = np.zeros((num_envs, self.model.nv))  # joint velocities at the start of the step
+        self._before = np.zeros((num_envs, self.model.nv))  # generalised velocities at the start of the step
         self._torque = torch.zeros(num_envs, NUM_JOINTS)
         self._foot_wrench = torch.zeros(num_envs, 2, 6)
         self.overflowed = torch.zeros(num_envs, dtype=torch.bool)

@@ -283,7 +283,7 @@ def duty_factor(
 
     Args:
         support: Share of each step that each foot is on the ground, shape [time, num_envs, 2].
-        contact: Whether it is, on the mean of the step, bool, same shape; strides are told by it.
+        contact: Whether it is, on the mean of the step, bool, same shape; strides are detected from it.
         valid: Steps that count, one stretch for each environment; shape [time, num_envs].
         period: Steps of a stride, :func:`stride_period`, shape [num_envs].
 

@@ -36,7 +36,7 @@ _SLOWEST, _FASTEST = 0.3, 3.0  # stride frequencies of people [Hz]
 _LEAST_SPEED = 0.2  # [m/s]
 _STEEPEST, _SIDEWAYS, _MOST_TURN = 15.0, 45.0, 20.0  # [deg]
 _MOST_SLIDE = 0.12  # of a stance foot, as a share of the pelvis's speed; of CMU's clips at most 0.071
-_STANDING = 0.4  # below this share of the fast frames' speed somebody stands, or is about to
+_STANDING = 0.4  # below this share of the fast frames' speed the subject stands, or is about to
 _STEP = 0.5  # within this time speed is even [s]
 _SHORTEST_STAND = 0.1  # beyond what such a window smooths [s]
 _GLITCH = math.radians(6.0)
@@ -166,7 +166,7 @@ def straighten(motion: RetargetedMotion, frequency: float) -> RetargetedMotion:
 
 
 def _speed_over_ground(path: torch.Tensor, frames: int) -> torch.Tensor:
-    """Horizontal speed over so many frames around each [m/s], shapes [all frames, ..., 3] to [fewer frames, ...]."""
+    """Horizontal speed over a window of ``frames`` [m/s], shapes [all frames, ..., 3] to [fewer frames, ...]."""
     level = path[..., :2]
     return (level[frames:] - level[:-frames]).norm(dim=-1) * (FRAME_RATE / frames)
 

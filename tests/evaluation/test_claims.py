@@ -84,7 +84,7 @@ def test_a_seed_that_fell_is_counted():
 
 
 def test_values_need_a_speed():
-    """Falls are counted also where nobody walked for a second."""
+    """Falls are counted also where no robot walked for a second."""
     rows = [*ours(0), row(claims.OURS, "", 0, math.nan, 9.0)]
     assert claims.at_speed(rows, 1.5, "falls_per_minute") == pytest.approx(1.5)
 

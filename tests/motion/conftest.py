@@ -87,7 +87,7 @@ class Subject:
     ) -> list[dict[str, tuple[float, ...]]]:
         """A gait: hips swing about 10 degrees of flexion, knees bend in swing, the root moves ahead (ASF lengths).
 
-        The root goes as the foot that is left behind stands still, so many times as far (``scale``), or at a ``speed``.
+        The root goes as the foot that is left behind stands still, ``scale`` times as far, or at a ``speed``.
         """
         frames = []
         place, before = 0.0, None
